@@ -44,9 +44,11 @@ def without_marks(folder: Path) -> dict[str, Marks]:
     path = folder / "annotation.json"
     kept = folder / "marks-taken-away.json"
     whole = read_json(path)
+    names = [name for name in whole["images"] if re.fullmatch(rf"push/[^/]+/[1-9]\d*/{SIDE}", name)]
+    taken = {name: whole["images"].pop(name)["vertebrae"] for name in names}
     if not kept.is_file():
-        names = [name for name in whole["images"] if re.fullmatch(rf"push/[^/]+/[1-9]\d*/{SIDE}", name)]
-        write_json(kept, {name: whole["images"].pop(name)["vertebrae"] for name in names})
+        write_json(kept, taken)
+    if names:  # also where a program that was stopped had kept them and not yet taken them away
         write_json(path, whole)
     return {name: dict(marks) for name, marks in read_json(kept).items()}
 
@@ -94,6 +96,11 @@ def of_subject(folder: Path, seed: int) -> dict[str, Any]:
     run_steps(visit, ("track",))
     pushes = read_outcome(visit.subject, Tracked).pushes
     rows = [row for push in visit.subject.record.pushes for row in of_push(push, pushes[push.id].sides[0], marks)]
+    if len(rows) != len(marks) or not rows:
+        raise SystemExit(
+            f"{folder}: {len(rows)} frames were followed, wanted the {len(marks)} whose marks were taken away; "
+            "delete the folder to have the subject made again"
+        )
     return {"seed": seed, "frames": [rounded(row) for row in rows]}
 
 
@@ -118,6 +125,8 @@ def summarised(subjects: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def measured(scratch: Path, subjects: int) -> dict[str, Any]:
     """Make, track, compare."""
+    if subjects < 1:
+        raise SystemExit(f"--subjects {subjects}: wanted 1 or more")
     scratch.mkdir(parents=True, exist_ok=True)
     found = [of_subject(scratch / f"seed-{seed}", seed) for seed in range(subjects)]
     return {**summarised(found), "subjects": found}

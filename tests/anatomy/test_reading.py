@@ -1,3 +1,5 @@
+import struct
+
 import numpy as np
 import pytest
 
@@ -112,6 +114,35 @@ def test_a_face_beyond_the_vertices_is_refused(tmp_path, meshes):
     faces[3, 0] = 999
     for kind in ("obj", "ply", "vtp"):
         refusal(tmp_path, f"bone.{kind}", getattr(meshes, kind)(VERTICES, faces))
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("faces", [[(0, 1, 2), (0, 1, 2, 3)], [(0, 1, 2, 3, 4), (0, 1, 2), (2, 3, 4)]])
+def test_a_binary_ply_of_faces_of_several_kinds_says_what_to_do(tmp_path, order, faces):
+    content = binary_ply(faces, order)
+    few, many = min(map(len, faces)), max(map(len, faces))
+    told = refusal(tmp_path, "skin.ply", content)
+    assert told == (
+        f"skin.ply has faces of {few} to {many} corners, wanted triangles alone, as it is a binary PLY; make triangles "
+        "of them in the program that it comes from, or export it as STL or OBJ"
+    )
+    # Cut short it is that, and no more is said of its faces.
+    assert "can't be read as PLY" in refusal(tmp_path, "skin.ply", content[:-3])
+    # Faces of one kind are fanned, as everywhere.
+    assert len(read(tmp_path, "skin.ply", binary_ply(faces[:1], order))[1]) == len(faces[0]) - 2
+
+
+def binary_ply(faces, order):
+    """Five vertices with a colour each, and faces with one, too."""
+    title = "little" if order == "<" else "big"
+    head = (
+        f"ply\nformat binary_{title}_endian 1.0\ncomment by hand\nelement vertex 5\nproperty float x\n"
+        f"property float y\nproperty double z\nproperty uchar red\nelement face {len(faces)}\n"
+        "property list uchar int vertex_indices\nproperty uchar red\nend_header\n"
+    )
+    vertices = (struct.pack(f"{order}ffdB", np.cos(k), np.sin(k), 0.1 * k, 7) for k in range(5))
+    corners = (struct.pack(f"{order}B{len(face)}iB", len(face), *face, 7) for face in faces)
+    return head.encode() + b"".join((*vertices, *corners))
 
 
 def test_too_large_files_are_refused_before_they_are_read(tmp_path, meshes, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 from cohort_runners import QUICK, cohort_of
 from spinestiff.app.cohort import Shown, _print, duration, order_of, run_cohort
 from spinestiff.cohort import subject_run
-from spinestiff.cohort.asked import News, Summary
+from spinestiff.cohort.asked import Limits, News, Summary
 from spinestiff.cohort.marker import Order, examine
 from spinestiff.cohort.places import place_of
 from spinestiff.cohort.row import read_row
@@ -84,6 +84,22 @@ def test_what_is_asked_wrongly_ends_in_one_line(spinestiff, tmp_path, monkeypatc
     assert (ran.status, ran.out, len(ran.lines)) == (2, "", 1)
     assert words in ran.err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_gb_of_memory_is_1024_mb_wherever_participants_run(tmp_path, monkeypatch):
+    asked = []
+
+    def noted(cohort, first, second, *others):
+        asked.append(next(one for one in (first, second, *others) if isinstance(one, Limits)))
+        return Summary((), (), {})
+
+    for name in ("run_participants", "run_one", "run_on_cluster"):
+        monkeypatch.setattr(f"spinestiff.app.cohort.{name}", noted)
+    cohort_of(tmp_path / "in", 1)
+    order = Order(runner=QUICK, settings={}, version="1")
+    for more in ({}, {"index": 1}, {"scheduler": "tcp://x:1"}):
+        run_cohort(tmp_path / "in", tmp_path / "out", "participant", order, memory_gb=1.5, **more)
+    assert [one.memory_mb for one in asked] == [1536.0, 1536.0, 1536.0]
 
 
 def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finished, tmp_path, monkeypatch):

@@ -29,16 +29,16 @@ from spinestiff.study.visit import NOBODY
 ANNOTATED = Annotated[int, 0].__class__
 
 
-def numbers(typed=app, words=()):
-    """(words of the command, option) of every option that takes a float."""
+def numbers(typed=app, words=(), kinds=frozenset({float})):
+    """(words of the command, option) of every option that takes a number of these kinds."""
     found = []
     for group in typed.registered_groups:
-        found += numbers(group.typer_instance, (*words, group.name))
+        found += numbers(group.typer_instance, (*words, group.name), kinds)
     for command in typed.registered_commands:
         name = command.name or command.callback.__name__
         for parameter, hint in get_type_hints(command.callback, include_extras=True).items():
             inner, *extras = get_args(hint) if hint.__class__ is ANNOTATED else (hint,)
-            if float in (inner, *get_args(inner)):
+            if kinds & {inner, *get_args(inner)}:
                 declared = [word for extra in extras for word in extra.param_decls or ()]
                 found.append(((*words, name), declared[0] if declared else "--" + parameter.replace("_", "-")))
     return found
@@ -73,6 +73,44 @@ def test_no_number_and_no_size_is_refused_at_once(spinestiff, tmp_path, monkeypa
         assert (result.status, result.out) == (2, "")
         assert len(result.lines) == 1
         assert result.lines[0].startswith(f"spinestiff: {option} {float(value):g}: wanted "), result.lines
+    assert list(tmp_path.iterdir()) == []
+
+
+WHOLE_NUMBERS = numbers(kinds=frozenset({int}))
+
+
+def test_all_whole_numbers_are_known():
+    assert {words for words, _ in WHOLE_NUMBERS} == {
+        ("synth",), ("demo",), ("annotate",), ("serve",), ("plan",), ("cohort",), ("study", "seven"),
+        ("torso", "export"),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "option"), NUMBERS + WHOLE_NUMBERS)
+def test_an_underscore_makes_no_number(spinestiff, tmp_path, monkeypatch, words, option):
+    """Which Python takes "1_0" for: 10."""
+    monkeypatch.chdir(tmp_path)
+    for given in ((option, "1_0"), (f"{option}=1_0",)):
+        result = spinestiff(*words, *ARGUMENTS.get(words, ()), *given)
+        assert (result.status, result.out) == (2, "")
+        assert result.lines == [f"spinestiff: {option} 1_0: wanted a number, without underscores"]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "option", "text", "wanted"),
+    [
+        (("init", "new", "none"), "--source-detector", "1_500", "wanted MM, or PICTURE=MM"),
+        (("init", "new", "none"), "--source-detector", "rest/lateral=1_500", "wanted MM, or PICTURE=MM"),
+        (("synth", "new"), "--ratios", "0.1_0,0.04", "wanted two numbers BENDING,TISSUE"),
+        (("synth", "new"), "--ratios", "0.10", "wanted two numbers BENDING,TISSUE"),
+    ],
+)
+def test_an_underscore_makes_no_number_in_a_text_either(spinestiff, tmp_path, monkeypatch, words, option, text, wanted):
+    monkeypatch.chdir(tmp_path)
+    result = spinestiff(*words, option, text)
+    assert (result.status, result.out, len(result.lines)) == (2, "", 1)
+    assert result.lines[0].startswith(f"spinestiff: {option} {text}: {wanted}"), result.lines
     assert list(tmp_path.iterdir()) == []
 
 

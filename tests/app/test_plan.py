@@ -169,10 +169,12 @@ def test_options_become_a_wish():
         ({"side": "front"}, "--side front: wanted left, right or both"),
         ({"ribs": "5,x"}, "--ribs 5,x: wanted ribs from 1 to 12"),
         ({"ribs": "13"}, "--ribs 13: wanted ribs from 1 to 12"),
+        ({"ribs": "1_0"}, "--ribs 1_0: wanted ribs from 1 to 12"),
         ({"ribs": "nan"}, "--ribs nan: wanted ribs from 1 to 12"),
         ({"under": "left,8"}, "--under left,8: wanted SIDE,RIB,FORCE"),
         ({"under": "left,8,900"}, "--under left,8,900: wanted SIDE,RIB,FORCE"),
         ({"under": "up,8,60"}, "--under up,8,60: wanted SIDE,RIB,FORCE"),
+        ({"under": "left,8,6_0"}, "--under left,8,6_0: wanted SIDE,RIB,FORCE"),
     ],
 )
 def test_options_that_say_nothing_are_refused(changes, message):

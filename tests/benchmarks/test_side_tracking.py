@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,6 +28,34 @@ def test_marks_under_force_are_taken_away_once(tmp_path):
         assert side.without_marks(tmp_path) == {"push/main/2/lateral": marked["vertebrae"]}
         left = read_json(tmp_path / "annotation.json")["images"]
         assert set(left) == set(names) - {"push/main/2/lateral"}
+
+
+def test_marks_that_a_stopped_program_kept_only_are_taken_away(tmp_path):
+    marked = {"vertebrae": {"T8": [[1, 2], [3, 2], [3, 4], [1, 4]]}}
+    name = "push/main/2/lateral"
+    write_json(tmp_path / "annotation.json", {"images": {name: marked}})
+    write_json(tmp_path / "marks-taken-away.json", {name: marked["vertebrae"]})
+    assert side.without_marks(tmp_path) == {name: marked["vertebrae"]}
+    assert read_json(tmp_path / "annotation.json")["images"] == {}
+
+
+def test_a_subject_without_all_its_frames_is_refused_and_not_left_out(tmp_path, monkeypatch):
+    """Of two subjects one would be summed up alone otherwise."""
+    folder, push = tmp_path / "seed-1", SimpleNamespace(id="main")
+    subject = SimpleNamespace(record=SimpleNamespace(pushes=[push]))
+    monkeypatch.setattr(side, "truth_path", lambda _: tmp_path)
+    monkeypatch.setattr(side, "synthesise", lambda *_: None)
+    monkeypatch.setattr(side, "open_visit", lambda _: SimpleNamespace(subject=subject))
+    monkeypatch.setattr(side, "run_steps", lambda *_: None)
+    tracked = SimpleNamespace(pushes={"main": SimpleNamespace(sides=[None])})
+    monkeypatch.setattr(side, "read_outcome", lambda *_: tracked)
+    for marks, rows, told in (({"a": {}, "b": {}}, 1, "1 frames were followed, wanted the 2"), ({}, 0, "0 frames")):
+        monkeypatch.setattr(side, "without_marks", lambda _, marks=marks: marks)
+        monkeypatch.setattr(side, "of_push", lambda *_, rows=rows: iter([{"force_n": 10.0}] * rows))
+        with pytest.raises(SystemExit, match=rf"seed-1: {told}"):
+            side.of_subject(folder, 1)
+    with pytest.raises(SystemExit, match="--subjects 0: wanted 1 or more"):
+        side.measured(tmp_path / "none", 0)
 
 
 def picture(frame, corners, quality=None):

@@ -8,7 +8,7 @@ import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -293,6 +293,28 @@ def test_a_single_row_is_run_beside_others(made):
             run_one(cohort, index)
     with cohort_lock(cohort.target), pytest.raises(InUseError, match=f"process {os.getpid()} on "):
         run_one(cohort, 1)
+
+
+def test_the_log_of_another_run_at_the_same_participant_is_left_alone(made):
+    cohort = made(1, sub_001="bug")
+    place = place_of(cohort.source, cohort.target, "sub-001")
+    place.target.mkdir(parents=True)
+    place.log.write_text("of the first run\n", encoding="utf-8")
+    seen = []
+
+    def waits(one):
+        if one.stage == "running":
+            seen.append(place.log.read_text(encoding="utf-8"))
+            first.close()  # its end, for which the second one waits
+
+    with ExitStack() as first:
+        first.enter_context(sole_run(place.target))
+        found = run_one(cohort, 1, news=waits)
+    assert found.failed == {"sub-001": "crashed: ValueError: no such thing"}
+    assert seen[0] == "of the first run\n"
+    # Then it is the log of the second one, and there of its second try.
+    log = place.log.read_text(encoding="utf-8")
+    assert "first run" not in log and log.count("Traceback") == 1
 
 
 def test_input_and_output_lie_apart(made, tmp_path):

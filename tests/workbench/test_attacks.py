@@ -440,6 +440,21 @@ def test_jobs_take_no_arguments_but_their_own(served):
         command_of("plan", {"limit": float("nan")})
 
 
+@pytest.mark.parametrize("at", ["-1", str(2**63), str(2**63 - 1), "9" * 5000, "1.5", "end", "", "%00"])
+@pytest.mark.parametrize("what", ["log", "events"])
+def test_a_log_is_read_from_a_place_in_it_or_not_at_all(served, what, at):
+    job = served.good("POST", f"/api/subjects/{served.key()}/jobs", {"verb": "run", "options": {}})["id"]
+    served.good("POST", f"/api/jobs/{job}/cancel", {})
+    log = served.bench.jobs.log(job)
+    log.parent.mkdir(exist_ok=True)
+    log.write_text("a line\nand another\n", encoding="utf-8")
+    status, body = served.json("GET", f"/api/jobs/{job}/{what}?at={at}")
+    assert (status, body["error"][:48]) == (422, "the request is not one of this page's: at: found")
+    assert served.ask("GET", f"/api/jobs/{job}/{what}")[0] == 200
+    assert served.good("GET", f"/api/jobs/{job}/log?at=7") == {"lines": ["and another"], "at": 19}
+    assert served.good("GET", f"/api/jobs/{job}/log?at=4000000") == {"lines": [], "at": 4000000}
+
+
 def test_every_verb_is_a_command_with_these_options():
     from typer.main import get_group
 

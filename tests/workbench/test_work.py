@@ -32,6 +32,7 @@ from spinestiff.subject.folder import read_subject, read_unannotated, write_anno
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.subject.run_record import record_step, step_record, write_outcome
 from spinestiff.workbench import parcel
+from spinestiff.workbench.bench import open_bench
 from spinestiff.workbench.job_process import run_job, start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
 from spinestiff.workbench.jobs import Jobs
@@ -315,6 +316,39 @@ def test_jobs_start_in_turn_and_no_more_than_allowed(tmp_path):
     # Written twice, what was first stays.
     table.end(first.id, "failed", 1)
     assert table.job(first.id).state == "done"
+
+
+def test_logs_that_the_page_can_not_show_are_deleted_when_a_job_starts(root, monkeypatch):
+    started = []
+    monkeypatch.setattr("spinestiff.workbench.jobs.start_job", lambda table, job, *_: started.append(job))
+    monkeypatch.setattr("spinestiff.workbench.job_table.SHOWN", 3)
+    bench = open_bench(root, side_by_side=2)
+    jobs, (key, _) = bench.jobs, next(iter(bench.root.subjects()))
+
+    def job_of(subject):
+        job = jobs.table.add(subject, "run", {})
+        jobs.log(job.id).parent.mkdir(exist_ok=True)
+        jobs.log(job.id).write_text("what it said", encoding="utf-8")
+        return job.id
+
+    def ended(subject):
+        job = job_of(subject)
+        jobs.table.take(9)
+        jobs.table.end(job, "done", 0)
+        return job
+
+    running = job_of("long")
+    jobs.table.take(9)
+    other = ended("other")
+    old, *recent = (ended(key) for _ in range(4))
+    stray = jobs.log("of-no-job")
+    stray.write_text("", encoding="utf-8")
+    last = job_of(key)
+    jobs.look()
+    assert started == [last]
+    # Of this subject the last three; another's, however old; and what runs.
+    assert {log.stem for log in stray.parent.iterdir()} == {last, *recent[1:], other, running}
+    assert not stray.exists() and old not in recent
 
 
 def test_a_job_without_a_sign_of_life_is_lost(tmp_path, monkeypatch):

@@ -15,7 +15,7 @@ import typer
 from spinestiff import __version__
 from spinestiff.app import INTERRUPTED, STOPPED
 from spinestiff.app.commands import asking, machine, many, showing, steps, subjects, synthetic
-from spinestiff.app.commands.common import common
+from spinestiff.app.commands.common import PlainNumbers, common
 from spinestiff.app.study import study
 from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectGaps
@@ -55,7 +55,7 @@ for command in (
     subjects.deidentify,
     machine.doctor,
 ):
-    app.command()(common(command))
+    app.command(cls=PlainNumbers)(common(command))
 app.add_typer(torso, name="torso")
 app.add_typer(study, name="study")
 

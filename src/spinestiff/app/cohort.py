@@ -24,6 +24,8 @@ LEVELS = ("participant", "group")
 FAILED = 1
 """Exit status where a participant failed."""
 MOST_SHOWN = 20
+GB_IN_MB = 1024.0
+"""As a MB of a process, in the ledger and in messages, is 2^20 bytes."""
 LOG_SILENCE_S = 30.0
 """After which a log tells how far all are: a cohort takes hours."""
 _RECENT = 12
@@ -54,6 +56,7 @@ def run_cohort(
 
     Parameters
     ----------
+    memory_gb : that a participant may take, in 2^30 bytes.
     usual : ``order`` holds no setting that was asked for: the group level alone takes the results as most were made.
     scheduler : address of a Dask scheduler whose workers run the participants; None runs them here.
 
@@ -90,7 +93,7 @@ def _run(
     memory_gb: float | None,
     scheduler: str | None,
 ) -> Summary:
-    asked_mb = None if memory_gb is None else 1000.0 * memory_gb
+    asked_mb = None if memory_gb is None else GB_IN_MB * memory_gb
     if scheduler is not None:
         with live(len(cohort.participants), 0) as shown:
             return run_on_cluster(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import typer
 
 from spinestiff.errors import OptionError
+from spinestiff.formats import plain_number
 
 Check = Callable[[typer.CallbackParam, float | None], float | None]
 Limits = Callable[[], tuple[float, float]]
@@ -57,10 +59,9 @@ def by_picture(option: str, texts: Sequence[str], limits: Limits) -> dict[str, f
     for text in texts:
         picture, equals, number = (part.strip() for part in text.rpartition("="))
         given = f"{option} {text[:80]}"
-        try:
-            value = float(number)
-        except ValueError:
-            raise OptionError(f"{given}: wanted MM, or PICTURE=MM, e.g. rest/lateral=1500") from None
+        value = plain_number(number)
+        if math.isnan(value):
+            raise OptionError(f"{given}: wanted MM, or PICTURE=MM, e.g. rest/lateral=1500")
         if equals and not picture:
             raise OptionError(f"{given}: wanted the name of a picture before =, e.g. rest/lateral=1500")
         if picture in found:
@@ -232,7 +233,7 @@ def minute_limits() -> tuple[float, float]:
 
 
 def memory_limits() -> tuple[float, float]:
-    """GB that one subject of a cohort may take."""
+    """GB (2^30 bytes) that one subject of a cohort may take."""
     return 0.0, 10000.0
 
 
@@ -242,5 +243,5 @@ def difference_limits() -> tuple[float, float]:
 
 
 def upload_limits() -> tuple[float, float]:
-    """GB of one upload."""
+    """GB (2^30 bytes) of one upload."""
     return 0.0, 1000.0

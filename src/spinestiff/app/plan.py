@@ -9,6 +9,7 @@ from typing import Any
 from spinestiff.app import tables
 from spinestiff.errors import OptionError, SpinestiffError
 from spinestiff.files import write_bytes, write_text
+from spinestiff.formats import plain_number
 from spinestiff.observer import Observer, heard
 from spinestiff.study.planning.proposal import make_plan
 from spinestiff.study.planning.scene import scene_of
@@ -90,11 +91,8 @@ def exposures_of(dose: float | None, frame_dose: float | None, lateral_dose: flo
 
 
 def _ribs(text: str) -> tuple[float, ...]:
-    try:
-        found = tuple(dict.fromkeys(float(part) for part in text.split(",")))
-    except ValueError:
-        found = ()
-    if not found or not all(1.0 <= rib <= 12.0 for rib in found):
+    found = tuple(dict.fromkeys(plain_number(part) for part in text.split(",")))
+    if not all(1.0 <= rib <= 12.0 for rib in found):
         raise OptionError(f"--ribs {text}: wanted ribs from 1 to 12 separated by commas, e.g. 5,7,9")
     return found
 
@@ -102,8 +100,8 @@ def _ribs(text: str) -> tuple[float, ...]:
 def _frame(text: str, largest: float) -> Frame:
     parts = [part.strip() for part in text.split(",")]
     try:
-        side, rib, force = parts[0], float(parts[1]), float(parts[2])
-    except (ValueError, IndexError):
+        side, rib, force = parts[0], plain_number(parts[1]), plain_number(parts[2])
+    except IndexError:
         side, rib, force = "", 0.0, 0.0
     if len(parts) != 3 or side not in SIDES or not 1.0 <= rib <= 12.0 or not 0.0 < force <= largest:
         raise OptionError(f"--under {text}: wanted SIDE,RIB,FORCE, e.g. right,8,60, up to {largest:g} N")

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from spinestiff.app.commands.common import common
+from spinestiff.app.commands.common import PlainNumbers, common
 from spinestiff.app.options import offering
 from spinestiff.app.progress import LONGEST_SILENCE_S, beating
 from spinestiff.app.volume import volume
@@ -26,7 +26,7 @@ def _group() -> None:
     pass
 
 
-@study.command()
+@study.command(cls=PlainNumbers)
 @common
 def seven(
     folder: Annotated[Path, typer.Argument(help="Folder of the study; what is there already is not made again.")],

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from spinestiff.app.commands.common import common
+from spinestiff.app.commands.common import PlainNumbers, common
 from spinestiff.app.options import (
     age_limits,
     height_limits,
@@ -61,7 +61,7 @@ TemplateMesh = Annotated[
 ]
 
 
-@torso.command("import")
+@torso.command("import", cls=PlainNumbers)
 @common
 def import_(
     folder: Annotated[Path, typer.Argument(help="Bone meshes: STL, OBJ, PLY, VTP.")],
@@ -110,7 +110,7 @@ def import_(
     typer.echo(f"torso: {out / 'torso.npz'}\nlook:  {out / 'torso.png'}")
 
 
-@torso.command()
+@torso.command(cls=PlainNumbers)
 @common
 def export(
     file: TorsoFile = None,
@@ -194,7 +194,7 @@ def _export_drawn(folder: Path | None, kind: str, out: Path | None, draws: int) 
     typer.echo(f"leaves out or changes: {chosen.leaves_out}")
 
 
-@torso.command()
+@torso.command(cls=PlainNumbers)
 @common
 def show(
     file: TorsoFile = None,

@@ -19,7 +19,7 @@ Stage = Literal["up to date", "waiting", "running", "again", "done", "failed"]
 
 @dataclass(frozen=True)
 class Limits:
-    """What one participant may take: wall-clock seconds and resident memory, MB; None = no limit."""
+    """What one participant may take: wall-clock seconds and resident memory, MB (2^20 bytes); None = no limit."""
 
     seconds: float | None = None
     memory_mb: float | None = None

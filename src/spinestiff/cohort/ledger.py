@@ -46,7 +46,8 @@ class Try(CohortRecord):
     Attributes
     ----------
     run : of the cohort, that it belongs to. number : from 1.
-    started : UTC. seconds : wall clock. cpu_seconds, peak_mb : as the process tells itself; None where it could not.
+    started : UTC. seconds : wall clock. cpu_seconds, peak_mb : as the process tells itself, MB of 2^20 bytes; None
+        where it could not.
     ended : "done", or why not. words : one line; what is no UTF-8 in the name of a file stands there by its code.
     """
 

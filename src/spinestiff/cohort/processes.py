@@ -62,12 +62,14 @@ class Processes:
         """
         place = task.place
         try:
-            write_bytes(place.log, b"")
+            # One that is there may be that of another run, at work on this participant: the process empties it.
+            if place.log.is_symlink() or not place.log.is_file() or not os.access(place.log, os.W_OK):
+                write_bytes(place.log, b"")
         except SubjectError as problem:
             self._unstarted.append(self._unwritable(task, number, problem))
             return
         try:
-            with place.log.open("wb") as log:
+            with place.log.open("ab") as log:
                 process = subprocess.Popen(
                     [sys.executable, "-P", "-m", "spinestiff.cohort.worker"],
                     stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=self._environment,

@@ -63,8 +63,12 @@ class Task(CohortRecord):
         return place_of(Path(self.source), Path(self.target), self.participant)
 
 
-def make_results(task: Task, say: Observer) -> Literal["done", "up to date"]:
+def make_results(task: Task, say: Observer, begun: Callable[[], None] = lambda: None) -> Literal["done", "up to date"]:
     """Make and publish a participant's results, unless they are there.
+
+    Parameters
+    ----------
+    begun : is called once no other run is at this participant.
 
     Raises
     ------
@@ -75,6 +79,7 @@ def make_results(task: Task, say: Observer) -> Literal["done", "up to date"]:
     place = task.place
     place.target.mkdir(parents=True, exist_ok=True)
     with _alone(place.target):
+        begun()
         _finish_replacing(place)
         found = examine(place, task.order)
         if found.state == "current":
@@ -291,7 +296,7 @@ def main() -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     end: End
     try:
-        end, words = make_results(task, lambda line: tell(say=line)), ""
+        end, words = make_results(task, lambda line: tell(say=line), _empty_log), ""
     except Exception as error:
         end, words = ended(error)
         words = as_given(words, task.place)
@@ -301,6 +306,12 @@ def main() -> None:
     sys.stderr.flush()
     # Whatever a library has left running: the results stand.
     os._exit(0)
+
+
+def _empty_log() -> None:
+    """What earlier runs wrote goes; while another one was at this participant, it was that one's."""
+    with suppress(OSError):  # no file
+        os.ftruncate(2, 0)
 
 
 def _end_with_parent() -> None:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from spinestiff.errors import ChangedElsewhere, InUseError, NotThere, SpinestiffError, SubjectError
 from spinestiff.formats import parse_json
-from spinestiff.subject.record_reading import complaint_of
+from spinestiff.subject.record_reading import complaint_of, shown_value
 
 
 class Sent(BaseModel):
@@ -76,7 +76,10 @@ def bare_application() -> FastAPI:
 
     @app.exception_handler(RequestValidationError)
     def malformed(_: Request, error: Exception) -> Told:
-        return Told({"error": "the request is not one of this page's"}, 422)
+        assert isinstance(error, RequestValidationError)
+        first = error.errors()[0]
+        found = f"{'.'.join(map(str, first['loc'][1:]))}: found {shown_value(first['input'])}"
+        return Told({"error": f"the request is not one of this page's: {found}"}, 422)
 
     @app.exception_handler(OSError)
     def unwritten(_: Request, error: Exception) -> Told:

@@ -76,6 +76,7 @@ from spinestiff.subject.folder import (
 )
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.marker_table import read_markers
+from spinestiff.subject.marks import check_marks
 from spinestiff.subject.outcome_parts import ViewRecord
 from spinestiff.subject.outcomes import FrameProposals, MarkedPedicles, SidePicture, SideView, Tracked, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
@@ -91,8 +92,14 @@ OWN_HEIGHT = 0.1  # share by which an own torso's height may differ from the sub
 
 
 def track_step(visit: Visit, say: Observer) -> None:
-    """Follow the annotated corners through every push; writes ``tracked.json``."""
+    """Follow the annotated corners through every push; writes ``tracked.json``.
+
+    Raises
+    ------
+    SubjectError : marks that a step would refuse, those at rest among them, before anything is followed.
+    """
     subject, pushes = visit.subject, {}
+    check_marks(subject)
     for push in subject.pushes:
         frames = read_push(subject, push)
         view = frames[0].view

@@ -18,9 +18,10 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import candidates, check_files, in_order, read_scans, times_of
 from spinestiff.imaging.shown_view import shown_view
 from spinestiff.subject.annotation_record import Annotation
-from spinestiff.subject.folder import Subject, check_image_name, image_corners, image_pedicles
+from spinestiff.subject.folder import Subject, check_image_name
 from spinestiff.subject.gaps import read_open_record
 from spinestiff.subject.geometry import image_geometry
+from spinestiff.subject.marks import check_marks_in, frame_names
 from spinestiff.subject.record_reading import read_record
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -193,7 +194,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
     marks: dict[str, tuple[str, ...]] = {}
     paths |= {push.image: folder / push.frames for push in record.pushes}
     # Frames beside the first may be annotated, too.
-    later = {push.image: [push.frame_image(frame) for frame in range(1, len(push.forces_n))] for push in record.pushes}
+    later = {push.image: frame_names(push)[1:] for push in record.pushes}
     kinds: dict[str, Literal["frontal", "lateral"]] = {LATERAL: "lateral"}
     for push in record.pushes:
         for view in push.views:
@@ -226,15 +227,9 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
 
 
 def _odd_marks(subject: Subject, names: Sequence[str], view: XRayView) -> str:
-    """Why a step would refuse what is marked in these images, which lie as ``view`` says; empty if none would.
-
-    A further view from which the patient was turned counts as not turned: that exchanges no sides.
-    """
+    """Why a step would refuse what is marked in these images, which lie as ``view`` says; empty if none would."""
     try:
-        for name in names:
-            if name in subject.annotation.images:
-                image_corners(subject, name, view)
-                image_pedicles(subject, name, view)
+        check_marks_in(subject, names, view)
     except SubjectError as problem:
         return str(problem)
     return ""

@@ -7,17 +7,20 @@ import json
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Query
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 from pydantic import Field
 
 from spinestiff.loopback.asking import Body, Sent, sent
 from spinestiff.workbench.bench import Bench
+from spinestiff.workbench.job_process import LARGEST_LOG
 from spinestiff.workbench.job_table import OPEN
 from spinestiff.workbench.verbs import VERBS
 
 LOOK_S, PING_S = 0.4, 10.0
+Place = Annotated[int, Query(ge=0, le=LARGEST_LOG)]
+"""From which byte of a log on its lines are asked for."""
 
 
 class Ask(Sent):
@@ -56,16 +59,16 @@ def add_jobs(app: FastAPI, bench: Bench) -> None:
         return jobs.table.job(name).record()
 
     @app.get("/api/jobs/{name}/log")
-    def log(name: str, at: int = 0) -> dict[str, Any]:
+    def log(name: str, at: Place = 0) -> dict[str, Any]:
         jobs.table.job(name)
-        lines, end = jobs.lines(name, max(at, 0))
+        lines, end = jobs.lines(name, at)
         return {"lines": lines, "at": end}
 
     @app.get("/api/jobs/{name}/events")
-    async def events(name: str, at: int = 0) -> StreamingResponse:
+    async def events(name: str, at: Place = 0) -> StreamingResponse:
         await run_in_threadpool(jobs.table.job, name)
         headers = {"x-accel-buffering": "no"}
-        return StreamingResponse(_events(bench, name, max(at, 0)), media_type="text/event-stream", headers=headers)
+        return StreamingResponse(_events(bench, name, at), media_type="text/event-stream", headers=headers)
 
 
 async def _events(bench: Bench, name: str, at: int) -> AsyncIterator[str]:

@@ -19,6 +19,8 @@ OPEN: tuple[State, ...] = ("waiting", "running")
 LOST_S = 15.0
 """Seconds without a sign of life after which a job's process has ended without a word."""
 KEPT = 5000
+SHOWN = 50
+"""Jobs that the page lists: the latest of a subject, and the latest of all."""
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS job (
   id TEXT PRIMARY KEY, subject TEXT NOT NULL, verb TEXT NOT NULL, options TEXT NOT NULL, state TEXT NOT NULL,
@@ -107,7 +109,7 @@ class JobTable:
             raise NotThere("this job is not there, or no longer")
         return _job(row)
 
-    def jobs(self, subject: str | None = None, most: int = 50) -> list[Job]:
+    def jobs(self, subject: str | None = None, most: int = SHOWN) -> list[Job]:
         """Jobs, the latest first; of one subject or all."""
         if not self.path.exists():
             return []
@@ -116,6 +118,17 @@ class JobTable:
                 "SELECT * FROM job WHERE ? IS NULL OR subject = ? ORDER BY asked DESC LIMIT ?", (subject, subject, most)
             ).fetchall()
         return [_job(row) for row in rows]
+
+    def shown(self) -> set[str]:
+        """Ids of all jobs that the page can show, and of those that are not over."""
+        with self._open() as table:
+            rows = table.execute(
+                "SELECT id FROM (SELECT id, state, ROW_NUMBER() OVER (ORDER BY asked DESC) AS ago, "
+                "ROW_NUMBER() OVER (PARTITION BY subject ORDER BY asked DESC) AS ago_of_subject FROM job) "
+                "WHERE ago <= ? OR ago_of_subject <= ? OR state IN ('waiting', 'running')",
+                (SHOWN, SHOWN),
+            ).fetchall()
+        return {row["id"] for row in rows}
 
     def latest(self) -> dict[str, Job]:
         """The last job of each subject."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -91,3 +92,14 @@ class Jobs:
             log.parent.mkdir(parents=True, exist_ok=True)
             arguments = command_of(job.verb, job.options)
             start_job(self.table.path, job.id, folder, arguments, log)
+            self.clear_logs()
+
+    def clear_logs(self) -> None:
+        """Delete the logs of jobs that the page can't show any more."""
+        # Looked for before the table is asked: a log that comes meanwhile belongs to a job that is kept.
+        logs = list((self.root.own / "logs").glob("*.log"))
+        shown = self.table.shown()
+        for log in logs:
+            if log.stem not in shown:
+                with contextlib.suppress(OSError):  # it goes at the next start of a job
+                    log.unlink()

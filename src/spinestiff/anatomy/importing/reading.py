@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -17,6 +18,12 @@ SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
 MOST_BYTES = 200_000_000
 MOST_VTP_BYTES = 2 * MOST_BYTES  # of a VTP file's numbers once they are read: 8 each, more than most files hold
 MOST_FACES = 2_000_000
+_PLY_BYTES = {
+    name: size
+    for size, names in ((1, b"char uchar int8 uint8"), (2, b"short ushort int16 uint16"),
+                        (4, b"int uint int32 uint32 float float32"), (8, b"double float64"))
+    for name in names.split()
+}  # fmt: skip
 _ASCII = bytes(range(128)) + b"?" * 128
 FARTHEST = 1e7  # of a coordinate, in any unit: beyond it, distances are lost in rounding
 
@@ -71,6 +78,12 @@ def _parsed(path: Path, kind: str, content: bytes) -> Surface:
         vertices = np.asarray(loaded.vertices, dtype=float).reshape(-1, 3)
         faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
     except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is at fault
+        corners = _corners_of_faces(content) if kind == ".ply" else set()
+        if len(corners) > 1:
+            raise TorsoError(
+                f"{path.name} has faces of {min(corners)} to {max(corners)} corners, wanted triangles alone, as it "
+                "is a binary PLY; make triangles of them in the program that it comes from, or export it as STL or OBJ"
+            ) from None
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise TorsoError(f"{path.name} can't be read as {kind[1:].upper()} ({reason})") from None
     # A text PLY that was cut short passes the parser; a polygon gives a triangle or more.
@@ -78,6 +91,39 @@ def _parsed(path: Path, kind: str, content: bytes) -> Surface:
     if promised is not None and len(faces) < int(promised[1]):
         raise TorsoError(f"{path.name} says {int(promised[1])} faces, but holds {len(faces)}; copy the file again")
     return vertices, faces
+
+
+def _corners_of_faces(content: bytes) -> set[int]:
+    """Numbers of corners that the faces of a binary PLY have; none where they can't be told, as of a file cut short."""
+    head, _, body = content.partition(b"end_header")
+    body = body[body.find(b"\n") + 1 :]
+    if b"format binary" not in head:
+        return set()
+    order: Literal["little", "big"] = "big" if b"binary_big_endian" in head else "little"
+    elements: list[tuple[int, dict[bytes, list[int]]]] = []  # how many, and the bytes of each one's properties
+    corners: set[int] = set()
+    at = 0
+    try:
+        for words in (line.split() for line in head.splitlines()):
+            if words[:1] == [b"element"]:
+                elements.append((int(words[2]), {}))
+            elif words[:1] == [b"property"]:
+                elements[-1][1][words[-1]] = [_PLY_BYTES[word] for word in words[1:-1] if word != b"list"]
+        for count, properties in elements:
+            if all(len(sizes) == 1 for sizes in properties.values()):
+                at += count * sum(sizes[0] for sizes in properties.values())
+                continue
+            for _ in range(count):
+                for name, (first, *each) in properties.items():  # of a list its length comes first
+                    number = int.from_bytes(body[at : at + first], order) if each else 0
+                    at += first + number * sum(each)
+                    if name in (b"vertex_index", b"vertex_indices"):
+                        corners.add(number)
+                if at > len(body):
+                    return set()
+    except (KeyError, IndexError, ValueError):
+        return set()
+    return corners
 
 
 def _plain(content: bytes, kind: str) -> bytes:

@@ -1,4 +1,4 @@
-"""What every command takes: ``--quiet``, ``-v`` and ``--settings``."""
+"""What every command takes: ``--quiet``, ``-v`` and ``--settings``; and how all read the numbers of their options."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import inspect
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from spinestiff.app.settings_file import settings_option
 from spinestiff.app.volume import Volume, speaking
+from spinestiff.errors import OptionError
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; warnings and errors alone.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="What the library logs, too.")]
@@ -24,6 +26,26 @@ COMMON: dict[str, tuple[Any, Any]] = {
     "verbose": (Verbose, False),
     "settings": (SettingsFile, None),
 }
+
+
+class PlainNumbers(TyperCommand):
+    """A command whose numbers are written as people write them: for Python alone "1_0" would be 10.
+
+    Raises
+    ------
+    OptionError : a number on the command line with an underscore in it.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As any command; looks at the texts before they become numbers."""
+        if not ctx.resilient_parsing:  # as when a shell completes words
+            texts, _, _ = self.make_parser(ctx).parse_args(args=list(args))
+            hints = get_type_hints(self.callback)
+            for param in self.params:
+                text, hint = texts.get(param.name), hints.get(param.name)
+                if {int, float} & {hint, *get_args(hint)} and isinstance(text, str) and "_" in text:
+                    raise OptionError(f"{param.opts[0]} {text[:40]}: wanted a number, without underscores")
+        return super().parse_args(ctx, args)
 
 
 def common(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -51,7 +51,7 @@ def cohort(
         float | None,
         typer.Option(
             callback=within("GB", memory_limits, above=True),
-            help="Memory limit of a subject, GB, on Linux; its share of the machine's if left out.",
+            help="Memory limit of a subject, GB of 1024 MB, on Linux; its share of the machine's if left out.",
         ),
     ] = None,
     difference: Annotated[

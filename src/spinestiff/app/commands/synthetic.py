@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +25,7 @@ from spinestiff.app.commands.shared import (
 )
 from spinestiff.app.findings import print_summary
 from spinestiff.errors import SubjectError
+from spinestiff.formats import plain_number
 
 
 def synth(
@@ -96,11 +98,10 @@ def recipe_of(
         raise SubjectError("--spine and --spine-id belong together; give both or none")
     chosen = None
     if ratios is not None:
-        try:
-            bending, tissue = (float(part) for part in ratios.split(","))
-        except ValueError:
-            raise SubjectError(f"--ratios {ratios}: wanted two numbers BENDING,TISSUE, e.g. 0.10,0.04") from None
-        chosen = (bending, tissue)
+        found = [plain_number(part) for part in ratios.split(",")]
+        if len(found) != 2 or any(map(math.isnan, found)):
+            raise SubjectError(f"--ratios {ratios}: wanted two numbers BENDING,TISSUE, e.g. 0.10,0.04")
+        chosen = (found[0], found[1])
     real = None if spine is None or spine_id is None else (spine, spine_id)
     if acquisition not in ACQUISITIONS:
         raise SubjectError(f"--acquisition {acquisition}: wanted {' or '.join(ACQUISITIONS)}")
