@@ -576,7 +576,7 @@ def test_bad_folders_are_refused_at_once(spinestiff, subject, case, command):
         (("synth", "new", "--ratios", "a,b"), "--ratios a,b: wanted two numbers"),
         (("synth", "new", "--ratios", "0.1,0.1,0.1"), "wanted two numbers"),
         (("synth", "new", "--ratios", "0.1,0"), "stiffness ratio 0.0; wanted"),
-        (("synth", "new", "--ratios", "nan,0.1"), "stiffness ratio nan"),
+        (("synth", "new", "--ratios", "nan,0.1"), "--ratios nan,0.1: wanted two numbers"),
         (("synth", "new", "--force", "0"), "--force 0: wanted above 0 and at most 500 N"),
         (("synth", "new", "--seed", "-3"), "seed -3"),
         (("demo", "--acquisition", "mine"), "--acquisition mine: wanted planned or paper"),

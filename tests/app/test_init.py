@@ -236,7 +236,7 @@ def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path,
         (("--log", "other=a.csv"), "--log other=a.csv: no push 'other'; wanted one of push-1, push-2"),
         (("--imager-pixel", "wide"), "--imager-pixel wide: wanted MM, or PICTURE=MM, e.g. rest/lateral=1500"),
         (("--imager-pixel", "=0.4"), "--imager-pixel =0.4: wanted the name of a picture before ="),
-        (("--imager-pixel", "rest/lateral=nan"), "--imager-pixel rest/lateral=nan: wanted 0.02 to 2 mm"),
+        (("--imager-pixel", "rest/lateral=nan"), "--imager-pixel rest/lateral=nan: wanted MM"),
         (("--source-patient", 0), "--source-patient 0: wanted 300 to 10000 mm"),
         (("--source-patient", 900, "--source-patient", 901), "901: given twice for all pictures; wanted once"),
         (
