@@ -433,6 +433,46 @@ def test_supports_that_were_seen_come_with_their_frame(torso, corners):
     assert second["shoulder"] == (-1.5, 0.3)
 
 
+def with_supports(push, *turns):
+    """A push with the pelvis' turn and the shoulder's place in each frame, as tracking measures them from the first."""
+    frames = [
+        frame.model_copy(
+            update={"obliquity_deg": Measured(value=turn, sd=0.3), "shoulder_mm": Measured(value=-turn, sd=0.4)}
+        )
+        if turn is not None
+        else frame
+        for frame, turn in zip(push.frames, turns, strict=True)
+    ]
+    return push.model_copy(update={"frames": tuple(frames)})
+
+
+def test_supports_are_where_they_are_from_their_place_without_force(torso, corners):
+    """A push that was let go: tracking measures from the first frame, which is under the largest force."""
+    push = record((40.0, 20.0, 0.0, 0.0), ("training", "training", "unused", "unused"))
+    let_go = with_supports(tracked(*[corners] * 4), None, -1.0, -3.0, -3.2)
+    found = push_set(torso, [push], {"main": let_go})
+    first, second, third, fourth = (t.trial.supports for t in found.trials)
+    assert first["obliquity"] == pytest.approx(np.deg2rad((3.0, 0.3)))
+    assert first["shoulder"] == pytest.approx((-3.0, 0.4))
+    assert second["obliquity"] == pytest.approx(np.deg2rad((2.0, np.hypot(0.3, 0.3))))
+    assert second["shoulder"] == pytest.approx((-2.0, np.hypot(0.4, 0.4)))
+    assert third == fourth == {}
+    unseen = with_supports(tracked(*[corners] * 4), None, -1.0, None, -3.2)
+    (_, second, *_) = (t.trial.supports for t in push_set(torso, [push], {"main": unseen}).trials)
+    assert second["shoulder"] == pytest.approx((-2.2, np.hypot(0.4, 0.4)))
+
+
+@pytest.mark.parametrize("forces", [(10.0, 20.0, 40.0), (20.0, 40.0, 0.0)])
+def test_supports_that_no_frame_shows_without_force_are_left_out(torso, corners, forces):
+    push = record(forces, ("training", "training", "unused"))
+    found = push_set(torso, [push], {"main": with_supports(tracked(*[corners] * 3), None, 1.0, None)})
+    assert [t.trial.supports for t in found.trials] == [{}, {}, {}]
+    assert (
+        f"push 'main': pelvis and shoulder are measured from its first frame, which is under {forces[0]:g} N, and no "
+        "frame without force shows them; their places are not used"
+    ) in found.warnings
+
+
 def test_a_fit_sees_the_training_frames_and_all_unloaded_ones_of_their_pushes(torso, corners):
     pushes = [
         record((0.0, 20.0, 40.0, 0.0), ("unused", "training", "validation", "unused")),

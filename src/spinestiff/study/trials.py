@@ -28,11 +28,13 @@ from spinestiff.mechanics.push import PushSite, Rig, push_heights, push_load, pu
 from spinestiff.observer import Observer
 from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import ViewPose, align_view
-from spinestiff.subject.outcomes import SideView, TrackedFrame, TrackedPush
+from spinestiff.subject.outcomes import SideView, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.words import counted
 
 LEVEL = Rig()
+SUPPORTS: Mapping[str, str] = {"obliquity": "pelvis", "shoulder": "shoulder"}
+"""What is measured of supports (``Trial.supports``), and of which."""
 ODD_SHARE = 0.2
 """Of the way from shoulder to pelvis by which a push may lie elsewhere than its rib in the torso: two ribs and more."""
 
@@ -160,10 +162,37 @@ class PushSet(ShortRepr):
         return min(frames, key=lambda frame: abs(frame - item.frame), default=0)
 
 
-def _measured_supports(frame: TrackedFrame) -> dict[str, tuple[float, float]]:
-    """Pelvis and shoulder as a frame shows them, as ``Trial.supports`` has it."""
-    seen = {"obliquity": frame.obliquity, "shoulder": frame.shoulder_mm}
-    return {name: (found.value, found.sd) for name, found in seen.items() if found is not None}
+def _measured_supports(
+    push: PushRecord, found: TrackedPush, forces: Sequence[float]
+) -> tuple[list[dict[str, tuple[float, float]]], list[str]]:
+    """Pelvis and shoulder in each frame from their place without force, as ``Trial.supports`` has them; warnings.
+
+    Tracking measures them from the first frame. Where that one is under a force, they count from the first frame
+    without force that shows them.
+    """
+    seen = [{"obliquity": frame.obliquity, "shoulder": frame.shoulder_mm} for frame in found.frames]
+    tracked = [{name: (one.value, one.sd) for name, one in each.items() if one is not None} for each in seen]
+    if forces[0] == 0.0:
+        return tracked, []
+    places: list[dict[str, tuple[float, float]]] = [{} for _ in tracked]
+    lost = []
+    for name, support in SUPPORTS.items():
+        if not any(name in each for each in tracked):
+            continue
+        from_first = [(0.0, 0.0), *(each.get(name) for each in tracked[1:])]
+        at_rest = next((one for one, force in zip(from_first, forces) if force == 0.0 and one is not None), None)
+        if at_rest is None:
+            lost.append(support)
+            continue
+        for own, one, force in zip(places, from_first, forces):
+            if one is not None and force > 0.0:
+                own[name] = (one[0] - at_rest[0], float(np.hypot(one[1], at_rest[1])))
+    warnings = [
+        f"push '{push.id}': {' and '.join(lost)} {'are' if len(lost) > 1 else 'is'} measured from its first frame, "
+        f"which is under {forces[0]:g} N, and no frame without force shows {'them' if len(lost) > 1 else 'it'}; "
+        f"{'their places are' if len(lost) > 1 else 'its place is'} not used"
+    ]
+    return places, warnings if lost else []
 
 
 def push_set(
@@ -219,6 +248,8 @@ def push_set(
         aside, told = _pictures_aside(torso, push, found)
         warnings += told
         markers = _markers(torso, push, found, view, known or Known())
+        supports, told = _measured_supports(push, found, forces)
+        warnings += told
         for index, (frame, force, role) in enumerate(zip(found.frames, forces, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.support_note and role != "unused":
@@ -233,7 +264,7 @@ def push_set(
                 label,
                 push.id,
                 by_hand,
-                _measured_supports(frame),
+                supports[index],
                 next((marks.points(view) for marks in found.pedicles if marks.frame == index), None),
                 tuple(picture for frame_of, picture in aside if frame_of == index),
                 None if markers is None else markers[index],
