@@ -170,6 +170,21 @@ def test_tracking_errors_are_a_frames_own_partly_shared_with_neighbours(noise) -
     assert np.count_nonzero(np.abs(more) > 1e-12) == CHANNELS
 
 
+def test_tracked_vertebrae_of_a_frame_that_is_marked_in_part_have_tracking_errors(column, targets, noise) -> None:
+    """Of the marked frame of sequence "b" all but one vertebra were tracked from elsewhere."""
+    of, marked = 3, targets[3].trial.corners.vertebrae[1]
+    names = tuple(name for name in targets[3].trial.corners.vertebrae if name != marked)
+    in_part = make_target(column.torso, replace(targets[3].trial, tracked=names))
+    found = noise_of(column, [*targets[:of], in_part, *targets[of + 1 :]])
+    wanted = noise_of(column, targets, annotated=(True, False, False, False, False))
+    left = labels(noise).index((of, int(targets[3].rows[1]), 0)) + np.arange(CHANNELS)
+    rows = np.setdiff1d(np.arange(noise.size), left)
+    motions = np.ones(len(targets))
+    for one, other in ((found.tracking(), wanted.tracking()), (found.drag(motions), wanted.drag(motions))):
+        assert not one[left].any()
+        np.testing.assert_allclose(one[np.ix_(rows, rows)], other[np.ix_(rows, rows)])
+
+
 def test_lost_corners_do_not_count_in_a_vertebras_error(column, targets) -> None:
     trial = targets[1].trial
     quality = trial.corners.quality.copy()

@@ -165,6 +165,16 @@ def test_frames_say_from_which_marked_one_they_were_followed(torso, corners):
     assert [item.trial.annotated for item in found.trials] == [True, False, False, True, False]
 
 
+def test_a_frame_marked_in_part_says_which_vertebrae_were_tracked(torso, corners):
+    followed = with_quality(corners, **dict.fromkeys(corners.vertebrae, 0.4))
+    in_part = with_quality(followed, T9=1.0, T6=[0.4, 1.0, 1.0, 1.0])
+    push = tracked(corners, followed, in_part).model_copy(update={"annotated_frames": (0, 2)})
+    found = push_set(torso, [record()], {"main": push})
+    assert [item.trial.annotated for item in found.trials] == [True, False, True]
+    assert [item.trial.tracked for item in found.trials[:2]] == [(), ()]
+    assert set(corners.vertebrae) - set(found.trials[2].trial.tracked) == {"T9"}
+
+
 def test_corners_followed_in_a_view_say_from_where_and_are_left_out_where_they_were_lost(torso, corners):
     side = followed(aside(torso, (0, 1, 2)), 2, 0.8)
     push = tracked(corners, corners, corners).model_copy(update={"sides": (side,)})

@@ -64,7 +64,7 @@ class Seen:
     ----------
     target : corners, pedicles, or markers.
     sequence : frames of one carry the same name here.
-    annotated : its marks were set by hand, so that tracking adds no error.
+    annotated : its marks were set by hand, so that tracking adds no error but to those that its trial says it followed.
     radiograph : number of the radiograph; None: this is the only thing that one shows.
     marked : set by hand once more, while frames of a tracked sequence share their annotation: corners with one number
         here were, in one radiograph; ``OWN``: each mark by itself; None: not (``sights.FurtherSight``).
@@ -154,12 +154,14 @@ class Noise:
         own_error = np.zeros(self.size)
         tracked = np.zeros(self.size, dtype=bool)
         for i, one in enumerate(seen):
-            if not one.annotated:
+            followed = _followed(one)
+            if followed.any():
                 corners = one.target.trial.corners
                 error = np.where(corners.usable, error_of(np.maximum(corners.quality, 1e-6)), 0.0)
                 squares = np.sum(error**2, axis=1) / np.maximum(corners.usable.sum(1), 1)
-                own_error[self.of(i)] = np.maximum(priors.tracking_mm**2, np.outer(0.5 * squares, TRACKED**2).ravel())
-                tracked[self.of(i)] = True
+                variance = np.maximum(priors.tracking_mm**2, np.outer(0.5 * squares, TRACKED**2))
+                own_error[self.of(i)] = (variance * followed[:, None]).ravel()
+                tracked[self.of(i)] = np.repeat(followed, CHANNELS)
         self._own = own_error
         distance = np.abs(np.subtract.outer(self._rows, self._rows)) / priors.tracking_length
         together = (self._trial[:, None] == self._trial) & (self._channel[:, None] == self._channel)
@@ -303,6 +305,14 @@ class Noise:
                         column = columns.setdefault(key, np.zeros(self.size))
                         column[where] = sd * way * slopes[number, :, axis]
         return np.stack(list(columns.values()), axis=1) if columns else np.zeros((self.size, 0))
+
+
+def _followed(one: Seen) -> np.ndarray:
+    """(n,) bool, which of the vertebrae, or marks, that are seen tracking has followed."""
+    if not (one.annotated and isinstance(one.target, Target)):
+        return np.full(len(one.target.rows), not one.annotated)
+    trial = one.target.trial
+    return np.isin(trial.corners.vertebrae, trial.tracked)
 
 
 def _by_group(column: Floats, of: Ints) -> Floats:

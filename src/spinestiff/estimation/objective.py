@@ -113,6 +113,7 @@ class Trial(ShortRepr):
         hand first of the push, or set by hand here.
     supports : measured "obliquity" (rad) and "shoulder" (mm), see ``mechanics.places.SupportPlace``, each with its
         standard deviation.
+    tracked : vertebrae of an annotated radiograph that were tracked all the same, as nobody marked them in it.
     pedicles : marked in this radiograph. further : other radiographs of the same equilibrium. markers : on the skin,
         under the same load. Only the weighed fit makes use of them.
     """
@@ -128,6 +129,7 @@ class Trial(ShortRepr):
     further: tuple[Picture, ...] = ()
     markers: SkinMarkers | None = None
     followed_from: str = ""
+    tracked: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.push:
@@ -153,6 +155,7 @@ class Trial(ShortRepr):
             further=(),
             markers=None,
             followed_from=picture.followed_from,
+            tracked=(),
         )
 
 

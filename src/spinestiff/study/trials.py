@@ -20,7 +20,7 @@ from spinestiff.estimation.mode import CLOSE_SD
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import check_population
-from spinestiff.imaging.features import Orientation
+from spinestiff.imaging.features import Orientation, VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -162,6 +162,11 @@ class PushSet(ShortRepr):
         return min(frames, key=lambda frame: abs(frame - item.frame), default=0)
 
 
+def _tracked(corners: VertebraCorners) -> tuple[str, ...]:
+    """Vertebrae that a person did not mark: what was marked is without doubt."""
+    return tuple(name for name, quality in zip(corners.vertebrae, corners.quality) if quality.min() < 1.0)
+
+
 def _measured_supports(
     push: PushRecord, found: TrackedPush, forces: Sequence[float]
 ) -> tuple[list[dict[str, tuple[float, float]]], list[str]]:
@@ -269,6 +274,7 @@ def push_set(
                 tuple(picture for frame_of, picture in aside if frame_of == index),
                 None if markers is None else markers[index],
                 "" if by_hand else f"push '{push.id}' frame {source}",
+                _tracked(corners[index]) if by_hand else (),
             )
             lost = len(found.vertebrae) - len(trial.corners)
             if index not in usable:
