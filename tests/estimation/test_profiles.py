@@ -344,6 +344,8 @@ def curve(height):
         (lambda x: 2.0 * x**2, -3.0, (True, False), "at a bound"),
         (lambda x: 2.0 * x**2, -3.0, (True, True), "flat"),
         (lambda x: (x**2 - 1.0) ** 2 + 0.1 * x, -1.0, (False, False), "several minima"),
+        # The ridge is higher than an interval's end, and of the other valley the floor alone lies below that.
+        (lambda x: 12.0 * (x**2 - 1.0) ** 2 + 0.9 * (x + 1.0), -1.0, (False, False), "several minima"),
         (lambda x: 0.05 * (x**2 - 1.0) ** 2 + x**2, 0.0, (False, False), "bounded"),
     ],
 )

@@ -402,7 +402,9 @@ def profile_kind(
         return "at a bound"
     if open_low or open_high:
         return "one-sided"
-    inside = profile.rise[profile.rise <= rise]
+    ends = np.flatnonzero(profile.rise <= rise)[[0, -1]]
+    # With ridges that are higher than the interval's ends.
+    inside = profile.rise[ends[0] : ends[1] + 1]
     falls = np.diff(inside)
     turns = np.flatnonzero((falls[:-1] > 0.0) & (falls[1:] < 0.0)) + 1
     if any(inside[t] - max(inside[:t].min(), inside[t:].min()) > RIDGE for t in turns):
