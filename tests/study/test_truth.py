@@ -107,6 +107,15 @@ def test_the_truth_of_a_part_is_its_groups():
     assert true_values(beside, truth) == {"lateral_bending": 0.1, "lateral_bending@lumbar": 1.0}
 
 
+def test_a_truth_of_a_whole_and_its_part_multiplies() -> None:
+    """As ratios of overlapping groups do; of a whole whose parts differ there is no one true ratio."""
+    truth = {"lateral_bending": 0.1, "lateral_bending@lumbar": 2.0}
+    parts = ("lateral_bending@thoracic", "lateral_bending@lumbar")
+    assert true_values(parts, truth) == {parts[0]: 0.1, parts[1]: pytest.approx(0.2)}
+    assert true_values(("lateral_bending", parts[1]), truth) == truth
+    assert true_values(("lateral_bending",), truth) == {}
+
+
 def test_a_truth_without_an_estimated_ratio_is_refused(made, tmp_path):
     with pytest.raises(SubjectError, match="holds no true ratio of lateral_bending"):
         compare_with_truth(*made, with_truth(tmp_path, tissue=0.05))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -33,15 +34,23 @@ def read_truth(path: Path) -> dict[str, float]:
 def true_values(parameters: Sequence[str], truth: Mapping[str, float]) -> dict[str, float]:
     """True values of estimated ratios, of those that the true ratios tell.
 
-    A group's true ratio is that of each of its parts; of a part that is estimated beside its whole it is 1.
+    A group's true ratio is that of each of its parts, times the part's own if there is one; of a part that is estimated
+    beside its whole it is the part's own, or 1.
     """
     found = {}
     for name in parameters:
-        stem = name.partition(AT)[0]
-        if name in truth:
-            found[name] = truth[name]
-        elif stem in truth:
-            found[name] = 1.0 if stem in parameters else truth[stem]
+        stem, at, _ = name.partition(AT)
+        own = truth.get(name)
+        if not at:
+            uneven = any(other.startswith(f"{name}{AT}") and other not in parameters for other in truth)
+            value = None if uneven else own
+        elif stem in parameters:
+            value = 1.0 if own is None and stem in truth else own
+        else:
+            both = [one for one in (own, truth.get(stem)) if one is not None]
+            value = math.prod(both) if both else None
+        if value is not None:
+            found[name] = value
     return found
 
 
