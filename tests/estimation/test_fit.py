@@ -235,6 +235,34 @@ def test_a_start_that_takes_too_long_is_left_for_one_nearer_to_the_default(colum
     assert not fit.history[0].accepted
 
 
+def test_a_nearer_start_lies_inside_the_bounds(column, clean, monkeypatch) -> None:
+    """The default does not, and a way towards it leads out of them."""
+    real, asked_for = WeighedProblem.solve, []
+
+    def solve(self, log_ratios, *args, **kwargs):
+        asked_for.append(np.exp(log_ratios))
+        if len(asked_for) < 4:
+            raise EquilibriumError("not converged within the iteration limit")
+        return real(self, log_ratios, *args, **kwargs)
+
+    monkeypatch.setattr(WeighedProblem, "solve", solve)
+    start, bounds = {"lateral_bending": 0.1, "tissue": 0.1}, (0.01, 0.45)
+    fit = fit_stiffness(column.problem, clean, start=start, bounds=bounds, extent="estimate")
+    assert asked_for[3] == pytest.approx([0.45, 0.45])
+    assert fit.ratios.values == pytest.approx([0.3, 0.4], rel=1e-3)
+
+
+@pytest.mark.parametrize("method", fitting.METHODS)
+def test_a_fit_goes_on_from_a_bound(column, clean, method) -> None:
+    """Back from its log a bound may lie outside itself, by rounding."""
+    ended = 0.2, float(np.exp(np.log(3.0)))
+    start = dict(zip(("lateral_bending", "tissue"), ended))
+    assert ended[1] > 3.0
+    fit = fit_stiffness(column.problem, clean, method=method, start=start, bounds=(0.01, 3.0), extent="estimate")
+    assert fit.status is FitStatus.CONVERGED
+    assert fit.ratios.values == pytest.approx([0.3, 0.4], rel=1e-2)
+
+
 def test_no_equilibrium_at_the_start_is_one_clear_error(column, clean, brittle) -> None:
     for method in fitting.METHODS:
         with pytest.raises(FitError, match="no equilibrium at the start of the fit, push 1 100 N"):

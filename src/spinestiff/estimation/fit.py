@@ -47,6 +47,8 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 WIDEST_INTERVAL = 0.9
 # Share by which the corners' error may differ where an estimate is solved again: digits of a stored one.
 SAME_RMSE = 0.01
+# Share by which a ratio from its log may lie beyond a bound.
+ROUNDING = 1e-12
 # Shares of the log ratios to start from, tried in this order.
 NEARER_STARTS = (1.0, 0.75, 0.5, 0.25)
 # Shares of the nuisances that a start has, on the way to them.
@@ -285,11 +287,12 @@ def _searched(
     near = None if default is None else asked.at(default)
     # A start may lie where tissue creases, and take hundreds of factorisations; nearer to the default it does not.
     for share in NEARER_STARTS if first.any() else ():
+        nearer = np.clip(share * first, *limits)
         try:
-            start = _started(asked, share * first, nuisances, near)
+            start = _started(asked, nearer, nuisances, near)
             break
         except EquilibriumError:
-            asked.trial_set.note(share * first, float("nan"), None, False)
+            asked.trial_set.note(nearer, float("nan"), None, False)
     else:
         try:
             start = asked.solve(first, nuisances, near)
@@ -373,11 +376,12 @@ def _start(names: Sequence[str], start: Mapping[str, float] | None, bounds: tupl
     for name in start or {}:
         if name not in names:
             raise FitError(f"start names '{name}', which is not fitted; fitted are {', '.join(names)}")
-    if not ((values >= bounds[0]) & (values <= bounds[1])).all():
+    low, high = bounds[0] * (1.0 - ROUNDING), bounds[1] * (1.0 + ROUNDING)
+    if not ((values >= low) & (values <= high)).all():
         raise FitError(
             f"start {', '.join(f'{value:.4g}' for value in values)} lies outside the bounds {bounds[0]}..{bounds[1]}"
         )
-    return np.asarray(np.log(values))
+    return np.clip(np.log(values), *np.log(bounds))
 
 
 def _default_point(trial_set: TrialSet) -> Evaluation | None:
