@@ -12,6 +12,7 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError, TrackingError
 from spinestiff.estimation.budget import covariance_parts
+from spinestiff.estimation.channels import CHANNELS
 from spinestiff.estimation.design import design_at
 from spinestiff.estimation.discrepancy import (
     OUT_OF_PLANE_SD,
@@ -366,3 +367,16 @@ def test_pedicles_of_which_none_is_seen_are_none(column, noisy) -> None:
     one, other = (column.weighed([trial, *noisy[1:]]) for trial in (plain, blind))
     assert np.array_equal(one.noise.constant, other.noise.constant)
     assert one.shown == other.shown
+
+
+def test_a_vertebra_that_was_followed_aside_may_be_outlying(column, both) -> None:
+    """It counts for less wherever the fit's end is read again, and is named with its radiograph."""
+    last, start = both[-1], both[0].further[0]
+    tracked = replace(last.further[0], followed_from=start.label)
+    asked = column.weighed([*both[:-1], replace(last, further=(tracked,))], names=NAMES)
+    row = next(i for i, one in enumerate(asked.noise.seen) if one.target.trial.label == tracked.label)
+    inflation = np.ones(asked.noise.size)
+    inflation[asked.noise.of(row).start + CHANNELS * 2 :][:CHANNELS] = 9.0
+    named = asked.outlying(inflation)
+    assert named == [(tracked.label, tracked.corners.vertebrae[2], 3.0)]
+    np.testing.assert_allclose(asked.inflation(named), inflation)

@@ -25,7 +25,7 @@ from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.evaluation import Evaluation, TrialSet
 from spinestiff.estimation.moving import Moving
 from spinestiff.estimation.noise import Noise, Seen, lower_root, restricted_factor
-from spinestiff.estimation.objective import Trial, make_target, residuals
+from spinestiff.estimation.objective import Target, Trial, make_target, residuals
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import RatioPrior
@@ -248,26 +248,26 @@ class WeighedProblem:
         return Weights(lower_root(rest), factor, inflation)
 
     def outlying(self, inflation: Floats) -> list[tuple[str, str, float]]:
-        """Trials and vertebrae whose own errors are larger than usual by ``inflation`` (n,), and by how much."""
+        """Radiographs and vertebrae whose own errors are larger than usual by ``inflation`` (n,), and by how much."""
         found = []
-        for i, (label, names) in enumerate(self._named()):
+        for i, label, names in self._named():
             factors = inflation[self.noise.of(i)].reshape(len(names), -1)[:, 0]
             found += [(label, name, float(np.sqrt(factor))) for name, factor in zip(names, factors) if factor > 1.0]
         return found
 
     def inflation(self, outlying: Iterable[tuple[str, str, float]]) -> Floats:
-        """(n,) inverse of ``outlying``; of trials and vertebrae that are not there it is 1."""
+        """(n,) inverse of ``outlying``; of radiographs and vertebrae that are not there it is 1."""
         known = {(label, name): factor**2 for label, name, factor in outlying}
         found = np.ones(self.noise.size)
-        for i, (label, names) in enumerate(self._named()):
+        for i, label, names in self._named():
             mine = found[self.noise.of(i)].reshape(len(names), -1)
             mine *= np.array([known.get((label, name), 1.0) for name in names])[:, None]
         return found
 
-    def _named(self) -> list[tuple[str, tuple[str, ...]]]:
-        """Label and vertebrae of each trial's own radiograph."""
-        trials = [self.noise.seen[i].target.trial for i in range(self.trials)]
-        return [(trial.label or f"trial {i + 1}", trial.corners.vertebrae) for i, trial in enumerate(trials)]
+    def _named(self) -> list[tuple[int, str, tuple[str, ...]]]:
+        """Of each radiograph's corners the place among what is seen, its label and its vertebrae."""
+        corners = [(i, one.target.trial) for i, one in enumerate(self.noise.seen) if isinstance(one.target, Target)]
+        return [(i, trial.label or f"trial {i + 1}", trial.corners.vertebrae) for i, trial in corners]
 
     def covariance(self, point: WeighedPoint, tracking_factor: float = 1.0, inflation: Floats | None = None) -> Floats:
         """(n, n) of all residuals at given nuisances, with tracking's errors ``tracking_factor`` times as predicted and
