@@ -173,6 +173,15 @@ def test_a_frame_without_a_curve_stops_no_other(tracked):
     assert words in angles_csv(frames) and frames[2].as_dict()["largest_deg"] is None
 
 
+def test_changes_count_from_the_least_force_that_shows_a_curve(tracked):
+    """Tracking lost the unloaded frame of a push that was let go."""
+    lost = replace(SPINE, quality=np.zeros((9, 4)))
+    bent = replace(SPINE, corners=SPINE.corners + 1e-3 * SPINE.corners[..., ::-1] * [[[1.0, 0.0]]])
+    frames = cobb_frames(tracked([bent, SPINE, lost], (40.0, 20.0, 0.0)))
+    assert [frame.change is None for frame in frames] == [True, False, False, True]
+    assert frames[1].change.rest == frames[2].change.pushed
+
+
 @pytest.mark.parametrize("forces", [(0.0,), (0.0, 20.0, 40.0)])
 def test_other_forces_than_tracked_frames_are_refused(tracked, forces):
     subject = tracked([SPINE, SPINE], forces)

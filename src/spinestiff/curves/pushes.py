@@ -71,7 +71,8 @@ def cobb_frames(
     for push, found in read_outcome(subject, Tracked).pushes.items():
         forces, view = frame_forces(subject.push(push), found), found.view.view()
         usable = [usable_corners(found.corners(i)) for i in range(len(found.frames))]
-        least = int(np.argmin(forces))
+        shown = [index for index, corners in enumerate(usable) if len(corners) > 1]
+        least = min(shown, key=lambda index: forces[index], default=0)
         for index, force in enumerate(forces):
             alike = annotated_frame(found, least) == annotated_frame(found, index)
             change = change_between(view, usable[least], usable[index], definition, alike)
