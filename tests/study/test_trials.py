@@ -546,5 +546,18 @@ def test_usable_corners_keep_what_was_well_tracked(corners):
     kept = usable_corners(with_quality(corners, T4=[0.019, 0.5, 0.5, 0.5], T6=[0.019, 0.019, 1.0, 1.0]))
     assert "T4" in kept.vertebrae
     assert "T6" not in kept.vertebrae
-    assert kept.quality[kept.vertebrae.index("T4")].tolist() == [0.0, 0.5, 0.5, 0.5]
+    assert kept.quality[kept.vertebrae.index("T4")].tolist() == [0.019, 0.5, 0.5, 0.5]
     assert len(kept) == len(corners) - 1
+
+
+def test_a_badly_tracked_corner_moves_no_box(torso, corners):
+    """Of a vertebra whose marks have another shape than the template's box; it is less certain all the same."""
+    at = corners.vertebrae.index("T4")
+    shape = np.zeros_like(corners.corners)
+    shape[at, 0] = [1.5, -1.0]
+    marked = replace(corners, corners=corners.corners + shape)
+    bad = with_quality(marked, T4=[0.01, 0.5, 0.5, 0.5])
+    trials = push_set(torso, [record()], {"main": tracked(marked, bad, with_quality(marked, T4=[0.5] * 4))}).trials
+    _, worse, well = (make_target(torso, one.trial) for one in trials)
+    np.testing.assert_allclose(worse.z[at], well.z[at], atol=1e-9)
+    assert worse.weights[at] < well.weights[at]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,9 +15,9 @@ FOUND = 0.25
 HALVING_MM = 0.17
 # Below this a corner is doubtful (0.26 mm predicted): most errors above 0.5 mm are, few others (docs/tracking.md).
 DOUBTED_QUALITY = 0.3
-# Corners tracked worse than this, by about 1.2 mm, count as lost; better ones weigh by their quality.
+# Corners tracked worse than this, by about 1.2 mm, count as lost.
 LOWEST_QUALITY = 0.02
-# Fewer usable corners leave a vertebra's orientation to chance.
+# Fewer corners that are not lost leave a vertebra's orientation to chance.
 FEWEST_CORNERS = 3
 # Error by the evidence: fitted on sequences of known truth (benchmarks/tracking.py --calibrate).
 WEIGHTS = np.array([0.453, 0.034, 0.205])
@@ -64,8 +64,11 @@ def error_of(quality: Floats) -> Floats:
 
 
 def usable_corners(corners: VertebraCorners) -> VertebraCorners:
-    """The vertebrae with enough well-tracked corners; worse corners get quality 0."""
-    quality = np.where(corners.quality >= LOWEST_QUALITY, corners.quality, 0.0)
-    keep = np.flatnonzero((quality > 0.0).sum(1) >= FEWEST_CORNERS)
-    names = tuple(corners.vertebrae[i] for i in keep)
-    return replace(corners, vertebrae=names, corners=corners.corners[keep], quality=quality[keep])
+    """The vertebrae with enough well-tracked corners, with all their corners.
+
+    A vertebra is followed as a body, so that a worse corner lies off only as far as the body's turn does, which the
+    others' places have as well. Placed by the others alone, the box would differ from that of the frames in which all
+    four are well tracked by what the marks' shape differs from the box's.
+    """
+    keep = np.flatnonzero((corners.quality >= LOWEST_QUALITY).sum(1) >= FEWEST_CORNERS)
+    return corners.selected(tuple(corners.vertebrae[i] for i in keep))
