@@ -21,7 +21,7 @@ from spinestiff.estimation.noise import (
 )
 from spinestiff.estimation.objective import make_target, residuals
 from spinestiff.estimation.priors import Priors
-from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.features import VertebraCorners, target_features
 
 SEQUENCES = ("a", "a", "a", "b", "b")
 ANNOTATED = (True, False, False, True, False)
@@ -93,6 +93,49 @@ def test_an_annotation_error_is_one_for_a_vertebra_of_a_sequence(noise) -> None:
         for i, row, c in found
     ]
     assert np.allclose(noise.parts["annotation"], wanted)
+
+
+@pytest.mark.parametrize("orientation", ["procrustes", "covariance"])
+def test_an_annotation_error_moves_a_box_as_its_marks_place_it(column, noisy, orientation) -> None:
+    """Two frames of a sequence, the marks of one turned; in that one a vertebra has three. Against differences."""
+    names, view = column.torso.vertebrae, noisy[0].view
+    # Of the boxes' own shape.
+    marks = target_features(column.torso, view, noisy[0].corners)
+    angle = 0.2
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    quality = np.ones(marks.shape[:2])
+    quality[2, 1] = 0.0
+
+    def seen(step=0.0):
+        first, second = (view.from_patient_plane(one) for one in (marks + step, (marks + step) @ turn))
+        first, second = VertebraCorners(names, first), VertebraCorners(names, second, quality)
+        trials = [replace(noisy[0], corners=one) for one in (first, second)]
+        return [make_target(column.torso, trial, orientation) for trial in trials]
+
+    targets = seen()
+    noise = noise_of(column, targets, annotated=(True, True))
+
+    def moved(step):
+        return np.concatenate(
+            [channels.apply(one.z - old.z) for channels, one, old in zip(noise.channels, seen(step), targets)]
+        )
+
+    # Shifts are the picture's in both frames, all else turns with the vertebra.
+    shift = np.zeros((marks.size, noise.size))
+    for number, where in enumerate(np.ndindex(marks.shape)):
+        step = np.zeros(marks.shape)
+        step[where] = 1e-4
+        shift[number] = moved(step) / 1e-4
+    first, second = (shift[:, noise.of(i)] for i in range(2))
+    each = len(names) * CHANNELS
+    found = noise.parts["annotation"] / Priors().annotation_mm ** 2
+    np.testing.assert_allclose(found[:each, :each], first.T @ first, atol=1e-4)
+    np.testing.assert_allclose(found[each:, each:], second.T @ second, atol=1e-4)
+    turns = np.arange(2, each, CHANNELS)
+    np.testing.assert_allclose(found[turns, each + turns], (first.T @ second)[turns, turns], atol=1e-4)
+    gain = np.diag(found)[each + turns]
+    assert (np.delete(gain, 2) > 1.05).all() == (orientation == "covariance")
+    assert gain[2] > 1.05
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import numpy as np
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.objective import Target
 from spinestiff.estimation.sights import Sight
+from spinestiff.imaging.features import FEATURE_SHAPE, place_boxes
 
 CHANNELS = 3  # of a vertebra
 
@@ -55,6 +56,31 @@ class Channels(ShortRepr):
         for row, sign in ((upper, 1.0), (lower, -1.0)):
             weights[CHANNELS * row + 2] = sign / self.arms[row]
         return weights
+
+
+def marking_errors(target: Target, channels: Channels) -> Floats:
+    """Change of a target's channels per mm by which the marks of a vertebra lie off.
+
+    Returns
+    -------
+    (Nv, 3, 11) mm/mm: of marks that are shifted along columns and rows and turned, as channels, then of what that
+    leaves of each coordinate of a mark, along the box's edges. A box that all four marks place by Procrustes takes the
+    first three alone. Three marks, or principal axes, give it a part of the rest: of the marks' own shape.
+    """
+    z, (corners, axes) = target.z, FEATURE_SHAPE
+    placed = place_boxes(z, z, target.orientation, target.used[target.rows])
+    arms = z - placed.centre[:, None]
+    turned = np.stack([-arms[..., 1], arms[..., 0]], -1)
+    moved = np.einsum("vl,ij->vilj", placed.centre_weights, np.eye(axes))[:, None]
+    moved = moved + np.einsum("vki,vlj->vkilj", turned, placed.angle_gradient)
+    slopes = np.einsum("vcki,vkilj->vclj", channels.basis, moved)
+    told = np.einsum("vclj,vdlj->vcd", slopes, channels.basis)
+    left = slopes - np.einsum("vcd,vdlj->vclj", told, channels.basis)
+    along = z[:, 1] - z[:, 0]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    edges = np.stack([along, np.stack([-along[:, 1], along[:, 0]], -1)], -1)
+    own = np.einsum("vclj,vje->vcle", left, edges).reshape(len(z), CHANNELS, corners * axes)
+    return np.concatenate([told, own], axis=2)
 
 
 @dataclass(frozen=True, repr=False)

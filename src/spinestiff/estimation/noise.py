@@ -15,7 +15,7 @@ out. Of markers on the skin all three coordinates are channels (``marker_noise``
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import FitError
-from spinestiff.estimation.channels import CHANNELS, Channels, channels_of
+from spinestiff.estimation.channels import CHANNELS, Channels, channels_of, marking_errors
 from spinestiff.estimation.marker_noise import SeenMarkers, marker_parts
 from spinestiff.estimation.objective import Target
 from spinestiff.estimation.priors import Priors
@@ -119,11 +119,7 @@ class Noise:
         self._trial = np.repeat(numbers, counts)
         sequence = np.array([list(dict.fromkeys(self._sequences)).index(name) for name in self._sequences])
         sequence = np.repeat(sequence, counts)
-        alike = (self._rows[:, None] == self._rows) & (self._channel[:, None] == self._channel)
-        alike &= self._of_boxes[:, None] & self._of_boxes
-        self.parts: dict[str, Floats] = {
-            "annotation": priors.annotation_mm**2 * (alike & (sequence[:, None] == sequence))
-        }
+        self.parts: dict[str, Floats] = {"annotation": priors.annotation_mm**2 * _outer(self._marked(self._sequences))}
         stance_roll = float(np.deg2rad(priors.stance_deg))
         roll = float(np.deg2rad(priors.place_deg))
         self.parts["place in the picture"] = _outer(self._places(self._trial, priors.place_mm, roll, 0.0))
@@ -132,12 +128,14 @@ class Noise:
         if geometry is not None:
             jacobian = self.pose_jacobian(still, len(geometry) // 6).reshape(self.size, -1)
             self.parts["rest geometry"] = np.asarray(jacobian @ geometry @ jacobian.T)
-        anew = np.repeat([one.marked is not None for one in seen], counts)
-        if anew.any():
-            sizes = np.where(self._of_boxes, priors.marking_mm, priors.pedicle_mm) * anew
-            group = np.repeat([OWN if one.marked is None else one.marked for one in seen], counts)
-            together = alike & (group[:, None] == group) & (group != OWN)
-            self.parts["marks set by hand"] = np.where(together | np.eye(self.size, dtype=bool), sizes**2, 0.0)
+        anew = [one.marked is not None for one in seen]
+        if any(anew):
+            groups = [(i if one.marked == OWN else None, one.marked) for i, one in enumerate(seen)]
+            boxes = self._marked([group if again else None for again, group in zip(anew, groups)])
+            points = np.repeat(anew, counts) & ~self._of_boxes
+            self.parts["marks set by hand"] = priors.marking_mm**2 * _outer(boxes) + np.diag(
+                priors.pedicle_mm**2 * points
+            )
         self.turns = np.zeros((self.size, 0))
         if positions is not None:
             self.parts["pedicles' places"] = _outer(self._pedicles(still))
@@ -220,6 +218,20 @@ class Noise:
             alike = own * (apart == 0) + (1.0 - own) * np.exp(-((apart / length) ** 2))
             whole += size**2 * alike * (mine[:, None] & mine)
         return whole
+
+    def _marked(self, groups: Sequence[Hashable]) -> Floats:
+        """(n, k) columns: errors of corners, in mm, that are the same in all radiographs of a group (one for each that
+        is seen; None: no errors)."""
+        columns: dict[tuple[Hashable, int], Floats] = {}
+        for i, (one, group) in enumerate(zip(self.seen, groups, strict=True)):
+            if group is None or not isinstance(one.target, Target):
+                continue
+            errors = marking_errors(one.target, self.boxes(i))
+            for number, (row, error) in enumerate(zip(one.target.rows, errors)):
+                mine = columns.setdefault((group, int(row)), np.zeros((self.size, error.shape[1])))
+                begin = self.ends[i] + CHANNELS * number
+                mine[begin : begin + CHANNELS] = error
+        return np.hstack(list(columns.values())) if columns else np.zeros((self.size, 0))
 
     def _groups(self, of: Ints) -> tuple[int, ...]:
         """Groups of radiographs, each once, in their order; ``of`` (n,) of each channel."""
