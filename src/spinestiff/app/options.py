@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, get_args, get_type_hints
 
 import typer
 
@@ -42,6 +43,20 @@ def _check_within(given: str, value: float, unit: str, limits: Limits, above: bo
     if not low <= value <= high or (above and value == low):
         wanted = f"above {low:g} and at most {high:g}" if above else f"{low:g} to {high:g}"
         raise OptionError(f"{given}: wanted {wanted} {unit}")
+
+
+def check_plain(command: Any, texts: Mapping[str, Any]) -> None:
+    """Raise OptionError for a number of a command's option that is written as Python alone takes it: with underscores.
+
+    Parameters
+    ----------
+    texts : what was given, by the names of the command's parameters; what is no text passes.
+    """
+    hints = get_type_hints(command.callback)
+    for param in command.params:
+        text, hint = texts.get(param.name), hints.get(param.name)
+        if {int, float} & {hint, *get_args(hint)} and isinstance(text, str) and "_" in text:
+            raise OptionError(f"{param.opts[0]} {text[:40]}: wanted a number, without underscores")
 
 
 def by_picture(option: str, texts: Sequence[str], limits: Limits) -> dict[str, float]:
