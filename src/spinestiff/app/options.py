@@ -9,7 +9,7 @@ from typing import Any, get_args, get_type_hints
 import typer
 
 from spinestiff.errors import OptionError
-from spinestiff.formats import plain_number
+from spinestiff.formats import plain_number, plain_word
 
 Check = Callable[[typer.CallbackParam, float | None], float | None]
 Limits = Callable[[], tuple[float, float]]
@@ -194,10 +194,21 @@ def offering(*words: str) -> Callable[[str], list[str]]:
     return offered
 
 
-def one_of(option: str, value: str | None, *words: str) -> None:
-    """Raise OptionError unless an option that was given has one of these words."""
-    if value is not None and value not in words:
-        raise OptionError(f"{option} {value[:40]}: wanted {' or '.join(words)}")
+def among(*words: str) -> Callable[[typer.CallbackParam, str | None], str | None]:
+    """A callback of an option that makes of its text the word that was meant (``plain_word``); None passes.
+
+    Raises
+    ------
+    OptionError : none of these words.
+    """
+
+    def check(param: typer.CallbackParam, value: str | None) -> str | None:
+        found = None if value is None else plain_word(value, words)
+        if value is not None and found is None:
+            raise OptionError(f"{param.opts[0]} {value[:40]}: wanted {' or '.join(words)}")
+        return found
+
+    return check
 
 
 def oldest_limits() -> tuple[float, float]:
