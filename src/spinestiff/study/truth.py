@@ -18,7 +18,12 @@ from spinestiff.subject.run_record import read_outcome
 
 
 def read_truth(path: Path) -> dict[str, float]:
-    """True ratios of a synthetic subject's truth file. Raises SubjectError."""
+    """True ratios of a synthetic subject's truth file, each of a group or of a part of one that has none.
+
+    Raises
+    ------
+    SubjectError : no such file; no ratios in it; a whole's ratio beside that of a part of it.
+    """
     record = read_json(path)
     try:
         ratios = dict(record["ratios"])
@@ -27,21 +32,30 @@ def read_truth(path: Path) -> dict[str, float]:
         sound = False
     if not sound:
         raise SubjectError(f"{path}: holds no true ratios; wanted the truth file of a synthetic subject")
-    return {str(name): float(value) for name, value in ratios.items()}
+    for part in ratios:
+        whole = part.partition(AT)[0]
+        if part != whole in ratios:
+            raise SubjectError(
+                f"{path}: holds true ratios of {whole} and of {part}, a part of it; wanted the whole's or its parts'"
+            )
+    return {name: float(value) for name, value in ratios.items()}
 
 
 def true_values(parameters: Sequence[str], truth: Mapping[str, float]) -> dict[str, float]:
     """True values of estimated ratios, of those that the true ratios tell.
 
-    A group's true ratio is that of each of its parts; of a part that is estimated beside its whole it is 1.
+    A group's true ratio is that of each of its parts. A part that is estimated beside its whole has a ratio relative to
+    the whole's: 1 if the whole's is known, else not told.
     """
     found = {}
     for name in parameters:
-        stem = name.partition(AT)[0]
-        if name in truth:
-            found[name] = truth[name]
-        elif stem in truth:
-            found[name] = 1.0 if stem in parameters else truth[stem]
+        whole = name.partition(AT)[0]
+        if name != whole and whole in parameters:
+            known = 1.0 if whole in truth else None
+        else:
+            known = truth.get(name, truth.get(whole))
+        if known is not None:
+            found[name] = known
     return found
 
 
