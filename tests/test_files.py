@@ -28,7 +28,7 @@ from spinestiff.files import (
     write_json,
     write_text,
 )
-from spinestiff.formats import parse_csv, parse_json, plain_number
+from spinestiff.formats import parse_csv, parse_json, plain_number, plain_word
 
 FOREIGN = {
     "missing": "no such file",
@@ -269,6 +269,12 @@ def test_a_number_without_end_is_refused_at_once():
 def test_numbers_as_people_write_them():
     texts = ("1", "-1.5", "+.5", "2.", "1e-3", " 4 ")
     assert [plain_number(text) for text in texts] == [1.0, -1.5, 0.5, 2.0, 0.001, 4.0]
+
+
+def test_words_as_people_write_them():
+    words = ("left", "right", "rear")
+    texts = ("left", "Left", "L", "ri", "r", "", "x", "lefty")
+    assert [plain_word(text, words) for text in texts] == ["left", "left", "left", "right", None, None, None, None]
 
 
 def test_decimal_commas_among_commas_are_told():

@@ -183,6 +183,11 @@ def trouble(problem: OSError) -> str:
     return _TROUBLE.get(problem.errno or 0) or problem.strerror or type(problem).__name__
 
 
+def no_folder(path: Path) -> str:
+    """What is wrong with a path at which there is no folder, in words."""
+    return "no folder" if os.path.lexists(path) else "no such folder"
+
+
 def check_output(
     path: Path,
     option: str,

@@ -159,6 +159,12 @@ def plain_number(text: str) -> float:
     return float(text) if _NUMBER.fullmatch(text.strip()) else math.nan
 
 
+def plain_word(text: str, words: Collection[str]) -> str | None:
+    """Which of these words a text is, or begins, in small letters or capitals; None where it is none, or several."""
+    found = [word for word in words if text and word.startswith(text.casefold())]
+    return found[0] if len(found) == 1 else None
+
+
 def _separator(text: str, columns: Sequence[str], optional: Sequence[str]) -> str:
     """By which the first line has all columns and no other; a comma where none does."""
     first = text.lstrip("\r\n").partition("\n")[0].rstrip("\r")

@@ -151,6 +151,12 @@ def _with_bytes(path, central, local, value):
     path.write_bytes(bytes(content))
 
 
+def test_another_file_is_no_torso_and_nobody_is_told_to_run_code_in_it(path):
+    path.write_text("no torso", encoding="utf-8")
+    with pytest.raises(TorsoError, match=r"torso\.npz is no torso file, or it is damaged; name a file of write_torso$"):
+        read_torso(path)
+
+
 @pytest.mark.parametrize(
     "damage",
     [

@@ -226,6 +226,7 @@ def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path,
     ("options", "words"),
     [
         (("--sex", "girl"), "--sex girl: wanted female or male"),
+        (("--sex", ""), "--sex : wanted female or male"),
         (("--side", "up"), "--side up: wanted left or right"),
         (("--id", "a b"), "--id 'a b': wanted 1 to 64 letters"),
         (("--orientation", "odd"), "--orientation odd: wanted standard"),
@@ -348,7 +349,7 @@ def test_what_is_open_is_filled_and_nothing_else_changes(spinestiff, tmp_path, s
     assert {name for name in after if before.get(name) != after[name]} == {"subject.json"}
     old, new = (json.loads(files["subject.json"]) for files in (before, after))
     assert new == {**old, "height_cm": 157.0, "age": 12.0}
-    assert spinestiff("init", out, "--sex", "female").status == 0
+    assert spinestiff("init", out, "--sex", "F").status == 0
     assert read_unannotated(out).gaps == ()
     done = spinestiff("init", out, "--sex", "male")
     assert done.status == 2 and "nothing is missing" in done.err

@@ -90,7 +90,9 @@ def test_all_whole_numbers_are_known():
 def test_an_underscore_makes_no_number(spinestiff, tmp_path, monkeypatch, words, option):
     """Which Python takes "1_0" for: 10."""
     monkeypatch.chdir(tmp_path)
-    for given in ((option, "1_0"), (f"{option}=1_0",)):
+    settings = tmp_path.with_suffix(".toml")
+    settings.write_text(f"[{'.'.join(words)}]\n{option[2:]} = '1_0'\n", encoding="utf-8")
+    for given in ((option, "1_0"), (f"{option}=1_0",), ("--settings", settings)):
         result = spinestiff(*words, *ARGUMENTS.get(words, ()), *given)
         assert (result.status, result.out) == (2, "")
         assert result.lines == [f"spinestiff: {option} 1_0: wanted a number, without underscores"]

@@ -40,7 +40,7 @@ def test_a_table_that_is_wrong_is_refused(tmp_path, text, words):
 
 
 def test_a_missing_table_is_refused(tmp_path):
-    with pytest.raises(SubjectError, match=r"participants\.tsv: no such file"):
+    with pytest.raises(SubjectError, match=r"participants\.tsv: no such file; wanted the table of participants"):
         read_participants(tmp_path)
     with pytest.raises(SubjectError, match=r"no such folder"):
         read_participants(tmp_path / "none")

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from spinestiff.cohort.asked import Cohort, Limits
+from spinestiff.cohort.account import Account
+from spinestiff.cohort.asked import Cohort, Limits, silent
 from spinestiff.cohort.group import read_members
 from spinestiff.cohort.ledger import read_last
 from spinestiff.cohort.lock import cohort_lock
@@ -315,6 +316,20 @@ def test_the_log_of_another_run_at_the_same_participant_is_left_alone(made):
     # Then it is the log of the second one, and there of its second try.
     log = place.log.read_text(encoding="utf-8")
     assert "first run" not in log and log.count("Traceback") == 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks of Unix")
+def test_who_is_refused_at_a_participant_in_use_leaves_what_the_other_run_found(made):
+    cohort = made(1, sub_001="refuse")
+    run_one(cohort, 1)
+    found = last_of(cohort, "sub-001")
+    assert found.tries[-1].words == "sub-001 can't be estimated"
+    # The second run's process, as it would be after its wait.
+    refused = found.tries[-1].model_copy(update={"run": "second", "ended": "in use", "words": "another run is at work"})
+    account = Account(cohort, None, silent)
+    assert not account.take(refused)
+    assert account.summary().failed == {"sub-001": "another run is at work"}
+    assert last_of(cohort, "sub-001") == found
 
 
 def test_input_and_output_lie_apart(made, tmp_path):

@@ -261,8 +261,13 @@ def test_pictures_that_do_not_fit_are_refused(folder, record) -> None:
     write_corners(folder / "corners.csv", named)
     with pytest.raises(SubjectError, match=r"corners.csv: rest: T1 is none of the phantom's levels"):
         read_phantom(folder)
-    with pytest.raises(SubjectError, match="no such folder"):
+    with pytest.raises(SubjectError, match="none: no such folder"):
         read_phantom(folder / "none")
+    with pytest.raises(SubjectError, match=r"corners\.csv: no folder; wanted one with phantom\.json"):
+        read_phantom(folder / "corners.csv")
+    (folder / "empty").mkdir()
+    with pytest.raises(SubjectError, match=r"phantom\.json: no such file; write it as docs/bench-phantom\.md shows"):
+        read_phantom(folder / "empty")
     with pytest.raises(SubjectError, match=r"corners.csv: rest: corners in mm; wanted pixels"):
         analyse(record, [replace(image, unit="mm") for image in seen])
 

@@ -27,6 +27,8 @@ from spinestiff.study.sensitivity import (
     with_force,
 )
 from spinestiff.study.sensitivity_words import (
+    estimator_columns,
+    force_cells,
     force_lines,
     force_rows,
     ratio_cells,
@@ -407,7 +409,27 @@ def test_the_papers_estimator_stands_beside_with_what_it_estimates() -> None:
     assert ratio_rows(found) == [
         ("weighed, the estimate's ratios", {"x": 1.0}), ("equal weights, lambda kept at its default", ratios)
     ]  # fmt: skip
-    assert ratio_cells(ratios) == ("0.151", "0.00332", "")
+    assert ratio_cells(ratios, estimator_columns(found)) == ("0.151", "0.00332", "")
+
+
+def test_ratios_of_parts_have_rows_and_other_groups_columns_of_their_own() -> None:
+    """They were estimated, and stood in no cell."""
+    ratios = {"lateral_bending@T8-T9": 0.1, "tissue@abdomen": 0.02, "axial_rotation": 0.5, "tissue@thorax": 0.03}
+    weighed = refit("weighed", "nothing", "").model_copy(update={"ratios": ratios})
+    forces = [refit("weighed", "force", f"{sign}10 %", **dict.fromkeys(ratios, 9.0)) for sign in "−+"]
+    found = with_refits(weighed, *forces).model_copy(update={"parameters": tuple(ratios)})
+    columns = estimator_columns(found)
+    assert tuple(columns) == ("bending", "tissue", "everything", "axial rotation")
+    assert [(label, ratio_cells(values, columns)) for label, values in ratio_rows(found)] == [
+        ("weighed, the estimate's ratios", ("", "", "", "0.500")),
+        ("weighed, lateral_bending@T8-T9", ("0.100", "", "", "")),
+        ("weighed, tissue@abdomen", ("", "0.0200", "", "")),
+        ("weighed, tissue@thorax", ("", "0.0300", "", "")),
+    ]
+    assert [force_cells(values, columns) for _, values in force_rows(found)][:2] == [
+        ("", "", "", "9.0"),
+        ("9.0", "", "", ""),
+    ]
 
 
 def test_rows_come_with_the_largest_change_first() -> None:

@@ -162,6 +162,7 @@ def changed_rows(torso, change):
         (lambda rows: [["b", *row[1:]] for row in rows], "no spine 'a'"),
         (lambda rows: [rows[0][:4] + ["high", "0"], *rows[1:]], "line 2: not a number"),
         (lambda rows: [rows[0][:4] + ["nan", "0"], *rows[1:]], "line 2: not a number"),
+        (lambda rows: [rows[0][:4] + ["1_0", "0"], *rows[1:]], "line 2: not a number"),
         (lambda rows: [rows[0][:4], *rows[1:]], "line 2: not a number"),
         (lambda rows: [], "no spine 'a'"),
     ],

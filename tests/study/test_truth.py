@@ -107,13 +107,22 @@ def test_the_truth_of_a_part_is_its_groups():
     assert true_values(beside, truth) == {"lateral_bending": 0.1, "lateral_bending@lumbar": 1.0}
 
 
-def test_a_truth_of_a_whole_and_its_part_multiplies() -> None:
-    """As ratios of overlapping groups do; of a whole whose parts differ there is no one true ratio."""
-    truth = {"lateral_bending": 0.1, "lateral_bending@lumbar": 2.0}
-    parts = ("lateral_bending@thoracic", "lateral_bending@lumbar")
-    assert true_values(parts, truth) == {parts[0]: 0.1, parts[1]: pytest.approx(0.2)}
-    assert true_values(("lateral_bending", parts[1]), truth) == truth
-    assert true_values(("lateral_bending",), truth) == {}
+def test_the_truth_of_parts_is_none_of_a_part_beside_its_whole():
+    """There a part's ratio is relative to the whole's, which such a truth does not tell."""
+    truth = {"lateral_bending@thoracic": 0.1, "lateral_bending@lumbar": 0.2}
+    assert true_values(tuple(truth), truth) == truth
+    assert true_values(("lateral_bending", "lateral_bending@lumbar"), truth) == {}
+
+
+def test_a_truth_of_a_whole_and_its_part_is_refused(tmp_path):
+    """Would the part's ratio be relative to the whole's, as in an estimate of both, or its own?"""
+    path = with_truth(tmp_path, **{"tissue": 0.05, "lateral_bending": 0.1, "lateral_bending@lumbar": 2.0})
+    with pytest.raises(SubjectError) as refused:
+        read_truth(path)
+    assert str(refused.value) == (
+        f"{path}: holds true ratios of lateral_bending and of lateral_bending@lumbar, a part of it; wanted the whole's "
+        "or its parts'"
+    )
 
 
 def test_a_truth_without_an_estimated_ratio_is_refused(made, tmp_path):

@@ -217,8 +217,15 @@ def test_text_that_is_not_utf8_is_refused_and_a_byte_order_mark_is_not(folder):
     assert read_subject(folder).record.id == "03"
 
 
+@pytest.mark.parametrize(("value", "wanted"), [([], "at least 1 item"), ("tissue", "a list")])
+def test_a_list_is_told_in_words_of_the_file(folder, value, wanted):
+    (folder / "subject.json").write_text(json.dumps({**SUBJECT, "parameters": value}), encoding="utf-8")
+    assert refusal(folder).endswith(f"parameters: found {value!r}, wanted {wanted}")
+
+
 def test_what_is_missing_is_named(folder):
-    assert "no such folder" in refusal(folder / "nowhere")
+    assert "nowhere: no such folder; wanted a subject folder" in refusal(folder / "nowhere")
+    assert "subject.json: no folder; wanted a subject folder" in refusal(folder / "subject.json")
     (folder / "rest/lateral.dcm").unlink()
     assert "lateral.dcm: no such file" in refusal(folder)
     (folder / "annotation.json").unlink()

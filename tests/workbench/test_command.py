@@ -45,7 +45,7 @@ def test_it_serves_until_ctrl_c_whoever_listens(root, tmp_path):
         (("--source", "{root}/nothing"), "no such folder"),
         (("{root}/girl",), "is a subject itself"),
         (("--read-only", "{root}/nothing"), "no such folder"),
-        (("{root}/girl/subject.json",), "can't be written"),
+        (("{root}/girl/subject.json",), "subject.json: no folder; wanted one with subject folders in it"),
     ],
 )
 def test_what_can_not_be_served_is_refused_in_one_line(root, arguments, words, monkeypatch, capsys):

@@ -76,10 +76,14 @@ def read_torso(path: str | Path) -> TorsoModel:
     regular_file(Path(path), TorsoError)
     try:
         # Opened here: np.load leaves a damaged file open.
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            if "header" not in stored.files:
-                raise TorsoError(f"{path} is no torso file; write one with write_torso")
-            arrays = {key: stored[key] for key in stored.files}
+        with open(path, "rb") as stream:
+            if stream.read(2) != b"PK":  # NumPy's words of other files advise to have code in them run
+                raise TorsoError(f"{path} is no torso file, or it is damaged; name a file of write_torso")
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as stored:
+                if "header" not in stored.files:
+                    raise TorsoError(f"{path} is no torso file; write one with write_torso")
+                arrays = {key: stored[key] for key in stored.files}
     except OSError as error:
         raise TorsoError(f"{path}: {(error.strerror or 'unreadable').lower()}; name a file of write_torso") from None
     except _UNREADABLE as error:

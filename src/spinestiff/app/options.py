@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, get_args, get_type_hints
 
 import typer
 
 from spinestiff.errors import OptionError
-from spinestiff.formats import plain_number
+from spinestiff.formats import plain_number, plain_word
 
 Check = Callable[[typer.CallbackParam, float | None], float | None]
 Limits = Callable[[], tuple[float, float]]
@@ -42,6 +43,20 @@ def _check_within(given: str, value: float, unit: str, limits: Limits, above: bo
     if not low <= value <= high or (above and value == low):
         wanted = f"above {low:g} and at most {high:g}" if above else f"{low:g} to {high:g}"
         raise OptionError(f"{given}: wanted {wanted} {unit}")
+
+
+def check_plain(command: Any, texts: Mapping[str, Any]) -> None:
+    """Raise OptionError for a number of a command's option that is written as Python alone takes it: with underscores.
+
+    Parameters
+    ----------
+    texts : what was given, by the names of the command's parameters; what is no text passes.
+    """
+    hints = get_type_hints(command.callback)
+    for param in command.params:
+        text, hint = texts.get(param.name), hints.get(param.name)
+        if {int, float} & {hint, *get_args(hint)} and isinstance(text, str) and "_" in text:
+            raise OptionError(f"{param.opts[0]} {text[:40]}: wanted a number, without underscores")
 
 
 def by_picture(option: str, texts: Sequence[str], limits: Limits) -> dict[str, float]:
@@ -179,10 +194,21 @@ def offering(*words: str) -> Callable[[str], list[str]]:
     return offered
 
 
-def one_of(option: str, value: str | None, *words: str) -> None:
-    """Raise OptionError unless an option that was given has one of these words."""
-    if value is not None and value not in words:
-        raise OptionError(f"{option} {value[:40]}: wanted {' or '.join(words)}")
+def among(*words: str) -> Callable[[typer.CallbackParam, str | None], str | None]:
+    """A callback of an option that makes of its text the word that was meant (``plain_word``); None passes.
+
+    Raises
+    ------
+    OptionError : none of these words.
+    """
+
+    def check(param: typer.CallbackParam, value: str | None) -> str | None:
+        found = None if value is None else plain_word(value, words)
+        if value is not None and found is None:
+            raise OptionError(f"{param.opts[0]} {value[:40]}: wanted {' or '.join(words)}")
+        return found
+
+    return check
 
 
 def oldest_limits() -> tuple[float, float]:

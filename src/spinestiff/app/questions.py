@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from spinestiff.errors import SubjectError
-from spinestiff.formats import plain_number
+from spinestiff.formats import plain_number, plain_word
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, HEIGHTS_CM, LEVELS, OLDEST
 from spinestiff.words import push_named
 
@@ -113,10 +113,9 @@ def _terminal(question: str) -> str:
 
 def _value(key: str, data: Mapping[str, Any], text: str) -> Any:
     if key in _WORDS:
-        found = [word for word in _WORDS[key] if word.startswith(text.casefold())]
-        if len(found) != 1:
+        if (found := plain_word(text, _WORDS[key])) is None:
             raise ValueError(f"wanted {' or '.join(_WORDS[key])}")
-        return found[0]
+        return found
     value = number(text, *_RANGES[key], above=key == "age")
     d21, d31 = (value if key == name else data.get(name) for name in ("d21_mm", "d31_mm"))
     if key in ("d21_mm", "d31_mm") and d21 is not None and d31 is not None and d31 >= d21:

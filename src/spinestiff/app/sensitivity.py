@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from spinestiff.app import tables
 from spinestiff.study.sensitivity_words import (
-    ESTIMATOR_COLUMNS,
     TITLES,
     change_title,
+    estimator_columns,
     force_cells,
     force_rows,
     ratio_cells,
@@ -38,15 +38,16 @@ def show_sensitivity(found: Sensitivity, visit: Visit) -> None:
         cells = [fixed(one.stiffness_percent.get(name), 1, True) for name in found.parameters]
         made.add_row(TITLES[one.what], change_title(one), *cells)
     tables.show(made)
+    columns = estimator_columns(found)
     title = f"Ratios by estimator, {found.mesh} mesh (equal weights: the paper's)"
-    made = tables.table(title, "estimator", *ESTIMATOR_COLUMNS)
+    made = tables.table(title, "estimator", *columns)
     for label, ratios in ratio_rows(found):
-        made.add_row(label, *ratio_cells(ratios))
+        made.add_row(label, *ratio_cells(ratios, columns))
     tables.show(made)
     title = "10 % of force, mean of both signs, % (paper's Table 7)"
-    made = tables.table(title, "estimator", *ESTIMATOR_COLUMNS)
+    made = tables.table(title, "estimator", *columns)
     for label, percent in force_rows(found):
-        made.add_row(label, *force_cells(percent))
+        made.add_row(label, *force_cells(percent, columns))
     tables.show(made)
     for line in sensitivity_lines(found):
         print(line)

@@ -8,6 +8,7 @@ import typer
 
 from spinestiff.app.annotate import opened
 from spinestiff.errors import OptionError
+from spinestiff.files import no_folder
 from spinestiff.workbench.bench import open_bench
 from spinestiff.workbench.door import check_host
 from spinestiff.workbench.server import serve
@@ -29,7 +30,7 @@ def serve_folder(
     check_host(host, proxy)
     for source in sources:
         if not source.is_dir():
-            raise OptionError(f"--source {source}: no such folder")
+            raise OptionError(f"--source {source}: {no_folder(source)}")
     bench = open_bench(root, tuple(sources), int(upload_gb * 2**30), jobs, read_only)
 
     def ready(address: str) -> None:

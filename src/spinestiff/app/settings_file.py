@@ -13,6 +13,7 @@ from typing import Any
 
 import typer
 
+from spinestiff.app.options import check_plain
 from spinestiff.errors import OptionError, SpinestiffError
 from spinestiff.files import read_text
 from spinestiff.words import did_you_mean
@@ -26,12 +27,15 @@ def settings_option(context: typer.Context, path: Path | None) -> Path | None:
 
     Raises
     ------
-    OptionError : the file can't be read, is no TOML, or names a command or an option that there is not.
+    OptionError : the file can't be read, is no TOML, or names a command or an option that there is not; a number in
+        quotes with an underscore in it.
     """
     if path is not None and not context.resilient_parsing:
         root = context.find_root()
         words = context.command_path.split()[len(root.command_path.split()) :]
-        context.default_map = settings_of(path, root.command, words)
+        found = settings_of(path, root.command, words)
+        check_plain(context.command, found)
+        context.default_map = found
     return path
 
 

@@ -11,6 +11,7 @@ import typer
 from spinestiff.app.commands.common import PlainNumbers, common
 from spinestiff.app.options import (
     age_limits,
+    among,
     height_limits,
     kyphosis_limits,
     lordosis_limits,
@@ -40,7 +41,11 @@ Age = Annotated[
 ]
 Sex = Annotated[
     str | None,
-    typer.Option(help="Sex of the template: female or male.", autocompletion=offering("female", "male")),
+    typer.Option(
+        callback=among("female", "male"),
+        help="Sex of the template: female or male.",
+        autocompletion=offering("female", "male"),
+    ),
 ]
 Mass = Annotated[float | None, typer.Option(callback=within("kg", mass_limits), help="Body mass of the template, kg.")]
 Kyphosis = Annotated[

@@ -1,11 +1,12 @@
 """What becomes of a cohort's participants in one run: who is up to date, who is tried again, who is done, who failed.
 
 The same wherever the tries happen: on this machine (``supervisor``) or on others (``cluster``). Each try is noted in
-the ledger, where the run has one, and in the participant's ``last.json``.
+the ledger, where the run has one, and in the participant's ``last.json``, unless another run is at work there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 
 from spinestiff.cohort.asked import Cohort, News, OnNews, Summary
@@ -68,13 +69,9 @@ class Account:
         tries.append(tried)
         if tried.ended == "no room":
             raise SubjectError(f"{tried.words}{KEPT}")
-        # Before a further try: whatever ends this run from outside leaves why the first one failed.
-        try:
-            write_last(place_of(self._cohort.source, self._cohort.target, tried.participant).last, tries)
-        except SubjectError as problem:
-            if ended(problem)[0] == "no room":
-                raise SubjectError(f"{problem}{KEPT}") from None
-            self._say(News(tried.participant, "running", f"warning: {problem}"))
+        # Where another run is at this participant, the file is that one's.
+        if tried.ended != "in use":
+            self._write_last(tried.participant, tries)
         if tried.ended in ("done", "up to date"):
             self._done.append(tried.participant)
             self._say(News(tried.participant, "done", tried.words, tried.seconds))
@@ -85,6 +82,15 @@ class Account:
         self._failed[tried.participant] = tried.words
         self._say(News(tried.participant, "failed", tried.words, tried.seconds))
         return False
+
+    def _write_last(self, participant: str, tries: Sequence[Try]) -> None:
+        """Before a further try: whatever ends this run from outside leaves why the first one failed."""
+        try:
+            write_last(place_of(self._cohort.source, self._cohort.target, participant).last, tries)
+        except SubjectError as problem:
+            if ended(problem)[0] == "no room":
+                raise SubjectError(f"{problem}{KEPT}") from None
+            self._say(News(participant, "running", f"warning: {problem}"))
 
     def summary(self) -> Summary:
         """What became of all."""

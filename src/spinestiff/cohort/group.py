@@ -17,6 +17,7 @@ from spinestiff.cohort.places import RESULTS, ROW_FILE, Place, place_of
 from spinestiff.cohort.row import Row, Stiffness, read_row
 from spinestiff.curves.corner_csv import FORMULA
 from spinestiff.errors import SubjectError
+from spinestiff.files import no_folder
 
 State = Literal["failed", "damaged", "not run", "out of date", "done"]
 STATES: tuple[State, ...] = ("failed", "damaged", "not run", "out of date", "done")
@@ -210,7 +211,7 @@ def _guarded(text: str) -> str:
 def refuse_nowhere(target: Path) -> None:
     """Raise SubjectError where a cohort's output is not there, as after a typing error."""
     if not target.is_dir():
-        raise SubjectError(f"{target}: no such folder, so it {_NOBODY}")
+        raise SubjectError(f"{target}: {no_folder(target)}, so it {_NOBODY}")
 
 
 def refuse_nobody(members: Sequence[Member], target: Path) -> None:

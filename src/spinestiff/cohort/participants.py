@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spinestiff.errors import SubjectError
-from spinestiff.files import LARGEST_JSON, read_text
+from spinestiff.files import LARGEST_JSON, no_folder, read_text
 from spinestiff.words import counted
 
 if TYPE_CHECKING:
@@ -36,7 +37,9 @@ def read_participants(folder: Path) -> tuple[str, ...]:
     """
     path = folder / PARTICIPANTS_FILE
     if not folder.is_dir():
-        raise SubjectError(f"{folder}: no such folder; wanted one with {PARTICIPANTS_FILE} and a folder a subject")
+        raise SubjectError(f"{folder}: {no_folder(folder)}; wanted one with {PARTICIPANTS_FILE} and a folder a subject")
+    if not os.path.lexists(path):
+        raise SubjectError(f"{path}: no such file; wanted the table of participants, with a column {COLUMN}")
     reader = csv.reader(io.StringIO(read_text(path, LARGEST_JSON), newline=""), delimiter="\t", quoting=csv.QUOTE_NONE)
     header = [column.strip() for column in next(_rows(reader, path), [])]
     if header.count(COLUMN) != 1:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from spinestiff.errors import SubjectError
-from spinestiff.files import file_digest, regular_files
+from spinestiff.files import file_digest, no_folder, regular_files
 
 RESULTS = "results"
 DONE_FILE = "done.json"
@@ -93,7 +93,7 @@ def input_files(folder: Path) -> dict[str, Path]:
     SubjectError : no such folder; something that is no file, or a link that leads out of the folder.
     """
     if not folder.is_dir():
-        raise SubjectError(f"{folder}: no such folder; wanted the subject folder of this participant")
+        raise SubjectError(f"{folder}: {no_folder(folder)}; wanted the subject folder of this participant")
     found = regular_files(folder, SubjectError, within=folder, but=folder / RESULTS)
     return {path.relative_to(folder).as_posix(): path for path in found}
 

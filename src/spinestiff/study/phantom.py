@@ -10,6 +10,7 @@ estimates the ratios from the marks in the pictures, with unknowns as large as a
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
+from spinestiff.files import no_folder
 from spinestiff.imaging.features import VertebraCorners, rmse, silhouette_shares, state_features, target_features
 from spinestiff.imaging.projection import XRayView, frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -177,7 +179,9 @@ def read_phantom(folder: str | Path) -> tuple[PhantomRecord, tuple[ImageCorners,
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise SubjectError(f"{folder}: no such folder; wanted one with {PHANTOM_FILE} and {CORNERS_FILE}")
+        raise SubjectError(f"{folder}: {no_folder(folder)}; wanted one with {PHANTOM_FILE} and {CORNERS_FILE}")
+    if not os.path.lexists(folder / PHANTOM_FILE):
+        raise SubjectError(f"{folder / PHANTOM_FILE}: no such file; write it as {PAGE} shows")
     record = read_record(folder / PHANTOM_FILE, PhantomRecord, PAGE)
     images = read_corners(folder / CORNERS_FILE)
     known = {image.image: image for image in images}

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from spinestiff.anatomy.regions import AT
 from spinestiff.study.sensitivity import BENDING, PAPER_SERIES, TABLE_7
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.sensitivity_outcome import Change, Refit, Sensitivity, Series
@@ -62,39 +63,59 @@ def table_7_average(name: str) -> float:
 
 
 def force_rows(found: Sensitivity) -> list[tuple[str, dict[str, float]]]:
-    """Table 7: what was fitted, and the percent of each ratio for 10 % of force; the paper's average last."""
-    rows = [(SERIES[series], dict(found.force_percent[series])) for series in SERIES if series in found.force_percent]
+    """Table 7: what was fitted, and the percent of each ratio for 10 % of force; the paper's average last.
+
+    Of ratios of a part each has a row of its own, in the column of its group.
+    """
+    known = found.force_percent
+    rows = [row for series in SERIES if series in known for row in _by_part(SERIES[series], known[series])]
     paper = {name: table_7_average(name) for name in TABLE_7}
     return [*rows, ("Koutras et al. 2025, mean of seven subjects", paper)]
 
 
 def ratio_rows(found: Sensitivity) -> list[tuple[str, dict[str, float]]]:
-    """The estimate of the same frames on the same mesh by each estimator, the paper's (equal weights) among them."""
+    """The estimate of the same frames on the same mesh by each estimator, the paper's (equal weights) among them; rows
+    as of ``force_rows``."""
     same = [one for one in found.refits if one.what == "nothing" and one.ratios]
-    return [(SERIES[one.series], one.ratios) for one in same]
+    return [row for one in same for row in _by_part(SERIES[one.series], one.ratios)]
 
 
-ESTIMATOR_COLUMNS: Mapping[str, tuple[str, ...]] = {
+def _by_part(label: str, values: Mapping[str, float]) -> list[tuple[str, dict[str, float]]]:
+    whole = {name: value for name, value in values.items() if AT not in name}
+    parts = [(f"{label.partition(',')[0]}, {name}", {name: values[name]}) for name in values if AT in name]
+    return [(label, whole), *parts] if whole else parts
+
+
+_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "bending": ("lateral_bending", BENDING),
     "tissue": ("tissue", "tissue_mu"),
     "everything": ("everything",),
 }
-"""Of tables by estimator, with the ratios that stand in one column."""
 
 
-def force_cells(percent: Mapping[str, float]) -> tuple[str, ...]:
+def estimator_columns(found: Sensitivity) -> dict[str, tuple[str, ...]]:
+    """Of tables by estimator, with the groups whose ratios stand in one column: the paper's, then all others that were
+    estimated."""
+    usual = {group for groups in _COLUMNS.values() for group in groups}
+    groups = dict.fromkeys(name.partition(AT)[0] for name in found.parameters)
+    return {**_COLUMNS, **{group.replace("_", " "): (group,) for group in groups if group not in usual}}
+
+
+def force_cells(percent: Mapping[str, float], columns: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
     """A row of the table of forces."""
-    return _cells(percent, fixed)
+    return _cells(percent, columns, fixed)
 
 
-def ratio_cells(ratios: Mapping[str, float]) -> tuple[str, ...]:
+def ratio_cells(ratios: Mapping[str, float], columns: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
     """A row of the table of ratios."""
-    return _cells(ratios, number)
+    return _cells(ratios, columns, number)
 
 
-def _cells(values: Mapping[str, float], shown: Callable[[float], str]) -> tuple[str, ...]:
-    columns = ESTIMATOR_COLUMNS.values()
-    return tuple(next((shown(values[name]) for name in names if name in values), "") for names in columns)
+def _cells(
+    values: Mapping[str, float], columns: Mapping[str, tuple[str, ...]], shown: Callable[[float], str]
+) -> tuple[str, ...]:
+    told = {name.partition(AT)[0]: shown(value) for name, value in values.items()}
+    return tuple(next((told[group] for group in groups if group in told), "") for groups in columns.values())
 
 
 def sensitivity_lines(found: Sensitivity) -> list[str]:

@@ -15,6 +15,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.files import regular_file
+from spinestiff.formats import plain_number
 
 # Apex as a share of the way from L5 to T1, and width, of a single curve; a double curve is a pair of opposite ones.
 CURVES = {
@@ -191,12 +192,9 @@ def _read_points(table: Path, spine_id: str) -> dict[str, dict[str, Floats]]:
             raise SubjectError(f"{table}: column '{sorted(missing)[0]}' is missing")
         for row in rows:
             if row["id"] == spine_id and row["x_mm"]:
-                try:
-                    lps = [float(row[key]) for key in ("x_mm", "y_mm", "z_mm")]
-                    if not np.isfinite(lps).all():
-                        raise ValueError
-                except (ValueError, TypeError):
-                    raise SubjectError(f"{table}: line {rows.line_num}: not a number") from None
+                lps = [plain_number(row[key] or "") for key in ("x_mm", "y_mm", "z_mm")]
+                if not np.isfinite(lps).all():
+                    raise SubjectError(f"{table}: line {rows.line_num}: not a number")
                 points.setdefault(row["level"], {})[row["keypoint"]] = torso_from_lps(np.array(lps))
     if not points:
         raise SubjectError(f"{table}: no spine '{spine_id}'")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -19,7 +18,12 @@ from spinestiff.subject.run_record import read_outcome
 
 
 def read_truth(path: Path) -> dict[str, float]:
-    """True ratios of a synthetic subject's truth file. Raises SubjectError."""
+    """True ratios of a synthetic subject's truth file, each of a group or of a part of one that has none.
+
+    Raises
+    ------
+    SubjectError : no such file; no ratios in it; a whole's ratio beside that of a part of it.
+    """
     record = read_json(path)
     try:
         ratios = dict(record["ratios"])
@@ -28,29 +32,30 @@ def read_truth(path: Path) -> dict[str, float]:
         sound = False
     if not sound:
         raise SubjectError(f"{path}: holds no true ratios; wanted the truth file of a synthetic subject")
-    return {str(name): float(value) for name, value in ratios.items()}
+    for part in ratios:
+        whole = part.partition(AT)[0]
+        if part != whole in ratios:
+            raise SubjectError(
+                f"{path}: holds true ratios of {whole} and of {part}, a part of it; wanted the whole's or its parts'"
+            )
+    return {name: float(value) for name, value in ratios.items()}
 
 
 def true_values(parameters: Sequence[str], truth: Mapping[str, float]) -> dict[str, float]:
     """True values of estimated ratios, of those that the true ratios tell.
 
-    A group's true ratio is that of each of its parts, times the part's own if there is one; of a part that is estimated
-    beside its whole it is the part's own, or 1.
+    A group's true ratio is that of each of its parts. A part that is estimated beside its whole has a ratio relative to
+    the whole's: 1 if the whole's is known, else not told.
     """
     found = {}
     for name in parameters:
-        stem, at, _ = name.partition(AT)
-        own = truth.get(name)
-        if not at:
-            uneven = any(other.startswith(f"{name}{AT}") and other not in parameters for other in truth)
-            value = None if uneven else own
-        elif stem in parameters:
-            value = 1.0 if own is None and stem in truth else own
+        whole = name.partition(AT)[0]
+        if name != whole and whole in parameters:
+            known = 1.0 if whole in truth else None
         else:
-            both = [one for one in (own, truth.get(stem)) if one is not None]
-            value = math.prod(both) if both else None
-        if value is not None:
-            found[name] = value
+            known = truth.get(name, truth.get(whole))
+        if known is not None:
+            found[name] = known
     return found
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError, SubjectGaps
-from spinestiff.files import check_output, regular_file, regular_files, write_json
+from spinestiff.files import check_output, no_folder, regular_file, regular_files, write_json
 from spinestiff.imaging.dicom.files import MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.mechanics.loads import USUAL_LIMIT_N
@@ -181,7 +181,7 @@ def read_unannotated(folder: str | Path) -> Subject:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
+        raise SubjectError(f"{folder}: {no_folder(folder)}; wanted a subject folder with {SUBJECT_FILE}")
     if not os.path.lexists(folder / SUBJECT_FILE):
         raise SubjectError(
             f"{folder / SUBJECT_FILE}: no such file; write one with the person, the pushes and their forces, as "

@@ -97,6 +97,7 @@ def _complaint(complaint: ErrorDetails, page: str, record: type[BaseModel] | Non
     if kind.endswith(("_parsing", "_type")) and (told := _quoted_number(kind, complaint["input"])):
         return told
     wanted = re.sub(r"^(Input|String|Tuple|Dictionary) should (be |have |match )?", "", message)
+    wanted = re.sub(r" after validation, not \d+$", "", wanted).replace("a valid array", "a list")
     return f"found {shown_value(complaint['input'])}, wanted {wanted}"
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from spinestiff.errors import NotThere, SubjectError
-from spinestiff.files import listed, trouble, write_bytes
+from spinestiff.files import listed, no_folder, trouble, write_bytes
 from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID
 from spinestiff.subject.records import SUBJECT_FILE
 
@@ -96,10 +96,10 @@ def open_root(path: Path, read_only: bool = False) -> Root:
     if (path / SUBJECT_FILE).exists():
         raise SubjectError(f"{path}: is a subject itself; wanted the folder around it: {path.resolve().parent}")
     try:
-        if not read_only:
+        if not read_only and not os.path.lexists(path):
             path.mkdir(parents=True, exist_ok=True)
         if not path.is_dir():
-            raise SubjectError(f"{path}: no such folder; wanted one with subject folders in it")
+            raise SubjectError(f"{path}: {no_folder(path)}; wanted one with subject folders in it")
     except OSError as problem:
         raise SubjectError(f"{path}: can't be written ({trouble(problem)})") from None
     place = path.resolve() / OWN / "key"

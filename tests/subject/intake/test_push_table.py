@@ -31,7 +31,7 @@ def test_a_row_a_frame_with_empty_cells_left_open(table, exported):
     path = table(
         "I7,0,0,right,8.5,400,",
         "I7,1,,,,,",
-        "I7,2,41.5,right,,,210",
+        "I7,2,41.5,R,,,210",
         "I8,0,0,left,5,400,66",
     )
     one, two = pushes_of(path, read_push_table(path), [exported("x/I7", frames=3), exported("x/I8", frames=2)])

@@ -6,14 +6,14 @@ import inspect
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 
+from spinestiff.app.options import check_plain
 from spinestiff.app.settings_file import settings_option
 from spinestiff.app.volume import Volume, speaking
-from spinestiff.errors import OptionError
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; warnings and errors alone.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="What the library logs, too.")]
@@ -40,11 +40,7 @@ class PlainNumbers(TyperCommand):
         """As any command; looks at the texts before they become numbers."""
         if not ctx.resilient_parsing:  # as when a shell completes words
             texts, _, _ = self.make_parser(ctx).parse_args(args=list(args))
-            hints = get_type_hints(self.callback)
-            for param in self.params:
-                text, hint = texts.get(param.name), hints.get(param.name)
-                if {int, float} & {hint, *get_args(hint)} and isinstance(text, str) and "_" in text:
-                    raise OptionError(f"{param.opts[0]} {text[:40]}: wanted a number, without underscores")
+            check_plain(self, texts)
         return super().parse_args(ctx, args)
 
 

@@ -10,6 +10,7 @@ import typer
 from spinestiff.app.annotate import annotate_folder
 from spinestiff.app.commands.shared import Folder, at_work
 from spinestiff.app.options import (
+    among,
     by_picture,
     distance_limits,
     level_limits,
@@ -36,14 +37,21 @@ def init(
     age: Annotated[
         float | None, typer.Option(callback=within("years", oldest_limits, above=True), help="Age, years.")
     ] = None,
-    sex: Annotated[str | None, typer.Option(help="female or male.", autocompletion=offering("female", "male"))] = None,
+    sex: Annotated[
+        str | None,
+        typer.Option(
+            callback=among("female", "male"), help="female or male.", autocompletion=offering("female", "male")
+        ),
+    ] = None,
     height: Annotated[
         float | None, typer.Option(callback=within("cm", stature_limits), help="Standing height, cm.")
     ] = None,
     side: Annotated[
         str | None,
         typer.Option(
-            help="The patient's side that is pushed: left or right.", autocompletion=offering("left", "right")
+            callback=among("left", "right"),
+            help="The patient's side that is pushed: left or right.",
+            autocompletion=offering("left", "right"),
         ),
     ] = None,
     level: Annotated[
@@ -88,6 +96,7 @@ def init(
     orientation: Annotated[
         str | None,
         typer.Option(
+            callback=among("standard"),
             help="standard: radiographs without an orientation are shown as usual.",
             autocompletion=offering("standard"),
         ),
@@ -96,13 +105,9 @@ def init(
 ) -> None:
     """Make a subject folder from a hospital's DICOM files; what is not known stays open, and is named."""
     from spinestiff.app.init import Asked, make_subject
-    from spinestiff.app.options import one_of
     from spinestiff.app.questions import on_terminal
     from spinestiff.subject.intake.making import Given
 
-    one_of("--sex", sex, "female", "male")
-    one_of("--side", side, "left", "right")
-    one_of("--orientation", orientation, "standard")
     person = {"age": age, "sex": sex, "height_cm": height}
     push = {"side": side, "level": level, "d21_mm": d21, "d31_mm": d31}
     lengths = {

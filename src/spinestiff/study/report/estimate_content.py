@@ -13,7 +13,7 @@ from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
 from spinestiff.study.report.certainty_pictures import SupportPlace
 from spinestiff.study.sensitivity_words import (
-    ESTIMATOR_COLUMNS,
+    estimator_columns,
     force_cells,
     force_rows,
     ratio_cells,
@@ -265,12 +265,13 @@ def _unknown(name: str) -> str:
 
 def sensitivity_content(found: Sensitivity) -> dict[str, Any]:
     """Refits with one thing changed: what they say, and the tables of ratios and of forces by estimator."""
+    columns = estimator_columns(found)
     return {
         "lines": sensitivity_lines(found),
         "mesh": found.mesh,
-        "columns": tuple(ESTIMATOR_COLUMNS),
-        "ratios": [{"title": title, "cells": ratio_cells(ratios)} for title, ratios in ratio_rows(found)],
-        "rows": [{"title": title, "cells": force_cells(percent)} for title, percent in force_rows(found)],
+        "columns": tuple(columns),
+        "ratios": [{"title": title, "cells": ratio_cells(ratios, columns)} for title, ratios in ratio_rows(found)],
+        "rows": [{"title": title, "cells": force_cells(percent, columns)} for title, percent in force_rows(found)],
     }
 
 

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_text
-from spinestiff.formats import parse_csv, plain_number
+from spinestiff.formats import parse_csv, plain_number, plain_word
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.intake.collecting import Study, by_name
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, LEVELS, Role
@@ -108,10 +108,11 @@ def _number(text: str, key: str, where: str) -> float | None:
 
 
 def _word(text: str, key: str, where: str) -> str | None:
-    if text and text.casefold() not in _WORDS[key]:
+    found = plain_word(text, _WORDS[key])
+    if text and found is None:
         wanted = ", ".join(_WORDS[key])
         raise SubjectError(f"{where}: {key}: found {_shown(text)}, wanted {wanted}, or nothing")
-    return text.casefold() or None
+    return found
 
 
 def _shown(text: str) -> str:
