@@ -40,7 +40,7 @@ from spinestiff.study.trials import push_set
 from spinestiff.subject.records import PushRecord
 
 ROLES = ("unused", "validation", "training", "unused")
-SOFT = stiffness_ratios({"tissue": 0.1})
+SOFT, STIFF = (stiffness_ratios({"tissue": ratio}) for ratio in (0.1, 2.0))
 
 
 class Noting:
@@ -125,6 +125,20 @@ def test_other_models_predict_the_held_out_frames_alone(torso, rest):
     assert [force for force, model, _ in problem.asked if model is None] == [30]
     assert ["truth" in p.states for p in found.frames] == [True, False, False]
     assert [p.item.role for p in found.of_role("validation", "training")] == ["validation", "training"]
+
+
+def test_other_models_start_where_the_fit_is_in_that_frame(torso, rest):
+    frames, forces = (rest, rest, rest, rest), (0.0, 20.0, 40.0, 60.0)
+    pushes, problem = noting(make_set(torso, frames, forces, ("unused", "validation", "training", "validation")))
+    found = predict(pushes, {"truth": Model(STIFF), "fit": Model(SOFT)}, {}, quiet)
+    of_fit = {frame.item.frame: frame.solved["fit"].state for frame in found.frames}
+    asked = {force: start for force, model, start in problem.asked if model is STIFF}
+    assert asked == {20: of_fit[1], 60: of_fit[3]}
+    # Where the fit has none, from rest, or the last one.
+    pushes, problem = noting(make_set(torso, frames, forces, ("unused", "validation", "training", "validation")))
+    predict(pushes, {"truth": Model(STIFF)}, {}, quiet)
+    assert problem.asked[0] == (20, STIFF, None)
+    assert problem.asked[1][2].bone_positions[0, 0] == torso.rest_pose.bone_positions[0, 0] + 20.0
 
 
 def test_a_model_without_an_equilibrium_is_said_and_left_out(torso, rest):

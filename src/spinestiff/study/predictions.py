@@ -189,10 +189,13 @@ def predict(
     ----------
     models : by name.
     known : what is solved already.
-    everywhere : models of all frames; the others predict the frames held out only.
+    everywhere : models of all frames. The others predict the frames held out only, each solved from what "fit" has
+        there, to which they are closer than to rest.
     """
     items = sorted((t for t in pushes.trials if t.force_n > 0.0), key=lambda t: (t.push, t.force_n))
     acts = {name: predicted_acts(pushes, items, model) for name, model in models.items()}
+
+    solved = dict(known)
 
     def of_push(chain: tuple[str, str]) -> dict[Key, Solved]:
         push, name = chain
@@ -202,7 +205,9 @@ def predict(
             if item.push != push or (name not in everywhere and item.role != "validation"):
                 continue
             key = (push, item.frame, name)
-            here = known.get(key)
+            here, fit = solved.get(key), solved.get((push, item.frame, "fit"))
+            if fit is not None and name not in everywhere:
+                last = fit.state
             if here is None:
                 say(f"push '{push}' frame {item.frame}: {name} at {item.force_n:.0f} N")
                 ratios, own = models[name].ratios, acts[name][number]
@@ -215,10 +220,11 @@ def predict(
             last = here.state
         return found
 
-    chains = [(push, name) for push in dict.fromkeys(item.push for item in items) for name in models]
-    solved = dict(known)
-    for found in in_parallel(of_push, chains):
-        solved |= found
+    for of_all in (True, False):
+        names = [name for name in models if (name in everywhere) == of_all]
+        chains = [(push, name) for push in dict.fromkeys(item.push for item in items) for name in names]
+        for found in in_parallel(of_push, chains):
+            solved |= found
     return predictions_of(pushes, solved)
 
 
