@@ -242,6 +242,8 @@ def test_from_an_export_to_the_results_and_a_plan(keys, finished, serve, tmp_pat
         assert tab.run("document.querySelector('iframe').getAttribute('src')").endswith("/report.html")
         tab.press("ArrowRight")
         tab.until("document.querySelector('iframe').getAttribute('src').endsWith('/view.html')")
+        # A page that comes takes the focus from one that goes.
+        tab.until("performance.getEntriesByName(document.querySelector('iframe').src).length > 0")
         held(tab)
         # Into the page that is shown, and out of it again.
         reach(tab, "iframe")
