@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from spinestiff.errors import EquilibriumError
+from spinestiff.estimation import profiles
 from spinestiff.estimation.emulator import FARTHEST_NUISANCES, Place
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
@@ -209,6 +210,12 @@ def test_the_regions_outline_has_risen_by_the_joint_limit(asked, found, likely) 
 
 def test_rise_is_0_at_the_estimate(asked, found) -> None:
     assert rise_at(asked, found, found.point.log_ratios) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_rise_that_takes_too_many_factorisations_is_given_up(asked, found, monkeypatch) -> None:
+    monkeypatch.setattr(profiles, "MOST_FACTORISATIONS", 0)
+    with pytest.raises(EquilibriumError, match="iteration limit"):
+        rise_at(asked, found, found.point.log_ratios - 1.0)
 
 
 def test_draws_are_those_of_the_posterior(found, likely) -> None:

@@ -180,13 +180,13 @@ def rise_at(problem: WeighedProblem, fit: WeighedFit, log_ratios: Floats) -> flo
 
     Raises
     ------
-    EquilibriumError : it has no equilibrium there.
+    EquilibriumError : it has no equilibrium there, or none was found with ``MOST_FACTORISATIONS`` a step.
     """
     point, slope, nuisances = fit.point, fit.slope, fit.point.nuisances
     # In two steps: ratios far off take their nuisances along.
     for share in (0.5, 1.0, 1.0):
         where = fit.point.log_ratios + share * (log_ratios - fit.point.log_ratios)
-        point = problem.solve(where, nuisances, point, slope)
+        point = problem.solve(where, nuisances, point, slope, most_factorisations=MOST_FACTORISATIONS)
         slope = problem.slope(point)
         model = reduced(point, slope, fit.weights)
         nuisances = model.nuisances
