@@ -155,7 +155,14 @@ def test_residuals_that_no_expected_error_explains(sound):
         "the expected errors explain no such residuals (p = 2e-07); tracking's errors are 2.50 times "
     )
     assert "no vertebra is outlying (limit 0.001); look for exchanged forces" in text
+    assert "pelvis" not in text
     assert fitted_otherwise(sound, p_value=1.1e-3).doubts() == {}
+
+
+def test_a_pelvis_taken_as_level_is_named_among_the_causes(sound):
+    case = fitted_otherwise(replace(sound, record=sound.record.model_copy(update={"pelvis": "level"})), p_value=2e-7)
+    text = case.doubts()["residuals as expected"]
+    assert "a pelvis that turned (subject.json's 'pelvis' takes it to be level)" in text
 
 
 def test_as_many_ratios_as_residuals_leave_none_to_judge_by(sound):

@@ -43,7 +43,7 @@ def test_impossible_priors_are_refused_before_any_step(subject, priors, words):
     write_json(subject / "subject.json", {**content, "priors": priors})
     with pytest.raises(SubjectError, match=words) as caught:
         open_visit(subject)
-    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(f"{subject / 'subject.json'}: ") and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def known_of(record: SubjectRecord, geometry: Floats | None) -> Known:
         try:
             check_population(record.population)
         except FitError as error:
-            raise SubjectError(f"subject.json: population: {error}") from None
+            raise SubjectError(f"population: {error}") from None
     priors = given_priors(record.priors)
     if record.pelvis != "estimated":
         priors = replace(priors, obliquity_deg=0.0, frame_obliquity_deg=0.0)
@@ -90,12 +90,12 @@ def given_priors(given: Mapping[str, float]) -> Priors:
     usual = usual_priors()
     for name in given:
         if name not in usual:
-            raise SubjectError(f"subject.json: priors.{name}: unknown prior; wanted one of {', '.join(sorted(usual))}")
+            raise SubjectError(f"priors.{name}: unknown prior; wanted one of {', '.join(sorted(usual))}")
     try:
         changed: dict[str, Any] = dict(given)
         return replace(Priors(), **changed)
     except FitError as error:
-        raise SubjectError(f"subject.json: {error}") from None
+        raise SubjectError(str(error)) from None
 
 
 @dataclass(frozen=True)

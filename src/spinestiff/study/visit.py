@@ -21,6 +21,7 @@ from spinestiff.study.truth import read_truth
 from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcomes import Tracked
+from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.subject.run_record import read_outcome, recorded_steps, result_path
 
 USUAL = ("lateral_bending", "tissue")
@@ -105,7 +106,10 @@ def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path
     if truth is not None:
         read_truth(truth)
     subject = read_subject(folder)
-    known_of(subject.record, None)
+    try:
+        known_of(subject.record, None)
+    except SubjectError as error:
+        raise SubjectError(f"{subject.folder / SUBJECT_FILE}: {error}") from None
     visit = Visit(subject, settings or Settings(), truth)
     if visit.population is not None and visit.settings.method == "paper":
         raise SubjectError(

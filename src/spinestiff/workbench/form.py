@@ -84,7 +84,7 @@ def _beyond_schema(values: dict[str, Any], complaints: Sequence[tuple[str, str]]
         try:
             check(value)
         except (SubjectError, FitError) as error:
-            found.append((key, str(error).removeprefix(f"{SUBJECT_FILE}: ")))
+            found.append((key, str(error)))
     return found
 
 

@@ -44,7 +44,7 @@ def judge(
     limits : what passes.
     """
     found = judge_inputs(record, shape, pushes, identities, limits)
-    return (*found, *training_frames(pushes, fit, limits), residuals_expected(fit, limits))
+    return (*found, *training_frames(pushes, fit, limits), residuals_expected(record, fit, limits))
 
 
 def judge_inputs(

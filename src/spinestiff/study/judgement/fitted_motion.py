@@ -17,6 +17,7 @@ from spinestiff.study.judgement.verdict import check, impossible
 from spinestiff.study.misfit import motion, shared, strays
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.estimate_outcome import Check
+from spinestiff.subject.records import SubjectRecord
 
 
 def training_frames(pushes: PushSet, fit: StiffnessFit, limits: Limits) -> Iterator[Check]:
@@ -106,7 +107,7 @@ class _Motion:
         return float(found[worst]), limit, self.vertebrae[sure[worst]], self.label
 
 
-def residuals_expected(fit: StiffnessFit, limits: Limits) -> Check:
+def residuals_expected(record: SubjectRecord, fit: StiffnessFit, limits: Limits) -> Check:
     """Whether all that is not quite known explains what the fit leaves, before any of it is made larger to do so."""
     name, found = "residuals as expected", fit.weighed
     if found is None:
@@ -127,6 +128,8 @@ def residuals_expected(fit: StiffnessFit, limits: Limits) -> Check:
         "exchanged forces, forces of another push, the wrong rib level or side, a patient who moved, rest pictures of "
         "another posture, lost tracking"
     )
+    if record.pelvis == "level":
+        causes += ", a pelvis that turned (subject.json's 'pelvis' takes it to be level)"
     if by_vertebra and len(by_vertebra) <= FEW:
         causes = f"the corners of {' and '.join(by_vertebra)}, then for {causes}"
     return check(name, text, found.p_value, limits.p_value, passed, causes)
