@@ -115,7 +115,8 @@ class System(ShortRepr):
 
         Raises
         ------
-        EquilibriumError : other degrees of freedom are held. TorsoError : a spring on a bone that there is not.
+        EquilibriumError : other degrees of freedom are held, or the place is of a pad that these springs lack.
+        TorsoError : a spring on a bone that there is not.
         """
         if not np.array_equal(supports.held, self.supports.held):
             raise EquilibriumError("the supports hold other degrees of freedom than the problem's; build a new problem")
@@ -137,7 +138,7 @@ class System(ShortRepr):
 
         Raises
         ------
-        EquilibriumError : an obliquity is asked of a pelvis that is free to turn.
+        EquilibriumError : an obliquity is asked of a pelvis that is free to turn, or a place of a shoulder without pad.
         """
         if place.obliquity:
             held_pelvis(self.torso, self.supports)
