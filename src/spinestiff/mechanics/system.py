@@ -48,7 +48,8 @@ class System(ShortRepr):
     torso, supports : what is solved.
     terms : further energies of single bones and nodes, e.g. image terms (``mechanics.terms.Term``).
     backend : sparse solver, see ``mechanics.factor.Analysis``, or "two-level" (``mechanics.multilevel``), which is also
-        taken where none is named and there are more than 80,000 unknowns.
+        taken where none is named here, whatever the environment says, and ten-node elements have more than 80,000
+        unknowns.
     laws : further energies that couple bones or nodes (``mechanics.assembly.Law``).
 
     Raises
