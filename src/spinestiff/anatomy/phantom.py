@@ -79,7 +79,7 @@ class Column(ShortRepr):
             raise TorsoError(f"a column of {len(self.levels)} blocks; wanted at least 3")
         if len(self.stiffness) != len(self.levels):
             raise TorsoError(f"{len(self.levels)} blocks but {len(self.stiffness)} joints; wanted one below each block")
-        if not min(*self.block_mm, self.gap_mm, *self.marks_mm, *self.stiffness) > 0.0:
+        if not all(value > 0.0 for value in (*self.block_mm, self.gap_mm, *self.marks_mm, *self.stiffness)):
             raise TorsoError("a size or a stiffness of the column is not above 0")
         for mark, block, what in zip(self.marks_mm, self.block_mm, ("width", "height")):
             if mark > block:
