@@ -56,6 +56,8 @@ def test_rubber_fills_what_blocks_and_gaps_leave() -> None:
         ({"levels": ("L4", "L5"), "stiffness": (1.0, 1.0)}, "a column of 2 blocks; wanted at least 3"),
         ({"stiffness": (1.0, 1.0)}, "3 blocks but 2 joints"),
         ({"stiffness": (1.0, 1.0, 0.0)}, "not above 0"),
+        ({"stiffness": (1.0, np.nan, 1.0)}, "not above 0"),
+        ({"gap_mm": np.nan}, "not above 0"),
         ({"marks_mm": (31.0, 19.0)}, "marks 31 mm apart on blocks of 30 mm width"),
         ({"rubber": replace(RUBBER, depth_mm=20.0)}, "rubber of 20 mm depth round blocks of 20 mm"),
         *(({"rubber": replace(RUBBER, spacing_mm=s)}, f"grid lines {s:g} mm apart") for s in (0.0, -1.0, np.nan)),

@@ -140,6 +140,11 @@ def test_unknown_names_are_refused_in_a_line(names, words):
     assert "\n" not in str(caught.value)
 
 
+def test_one_ratio_for_all_levels_is_refused_as_such(torso):
+    with pytest.raises(TorsoError, match=r"^'lateral_bending@levels' is a ratio for each level; .*@T8-T9$"):
+        torso_ratios(torso, {"lateral_bending@levels": 0.5})
+
+
 def test_what_a_torso_has_not_is_refused(torso):
     with pytest.raises(TorsoError, match="the torso has nothing of 'rib_sternum' at lumbar"):
         parameter_groups(torso, ["rib_sternum@lumbar"])

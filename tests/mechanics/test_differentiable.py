@@ -102,6 +102,9 @@ def test_wrong_shapes_and_values_end_in_one_line(model, there):
         model.solve(AT[:3])
     with pytest.raises(EquilibriumError, match="parameters holds a value that is not finite"):
         model.solve(np.full(4, np.nan))
+    for far in (800.0, -800.0):
+        with pytest.raises(EquilibriumError, match=rf"^log tissue is {far:g}; wanted from -700 to 700$"):
+            model.solve(AT + [0.0, far - AT[1], 0.0, 0.0])
     with pytest.raises(EquilibriumError, match="cotangent of rotations has shape"):
         there.vjp(Pose(there.pose.positions, there.pose.positions, there.pose.nodes))
     with pytest.raises(EquilibriumError, match="tangent has shape"):

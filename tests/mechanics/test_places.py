@@ -126,6 +126,16 @@ def test_a_hinged_pelvis_refuses_an_obliquity_and_takes_a_shoulder(torso):
     assert pushed.supports.springs.targets[0, 0] == hinged.supports.springs.targets[0, 0] + 3.0
 
 
+def test_a_shoulder_without_pad_has_no_place(torso, problem):
+    bare = placed_supports(torso, springs=False)
+    with pytest.raises(EquilibriumError, match=r"^no pad holds a shoulder, [^\n]* by 3 mm; ask for 0 mm$"):
+        EquilibriumProblem(torso, bare).with_place(SupportPlace(shoulder_mm=3.0))
+    with pytest.raises(EquilibriumError, match="by 6 mm"):
+        problem.with_place(ASKEW).with_supports(bare)
+    turned = EquilibriumProblem(torso, bare).with_place(SupportPlace(obliquity=0.1))
+    assert turned.place == SupportPlace(obliquity=0.1)
+
+
 def test_a_hinged_pelvis_keeps_the_turn_of_a_start(torso, soft):
     """A place of the shoulder says nothing about a pelvis that is free to turn."""
     supports = placed_supports(torso)

@@ -91,13 +91,13 @@ def parameter_groups(torso: TorsoModel, names: Sequence[str]) -> tuple[Parameter
 
 
 def torso_ratios(torso: TorsoModel, ratios: Mapping[str, float]) -> StiffnessRatios:
-    """Ratios by name, for this torso. Raises TorsoError as ``parameter_groups``."""
+    """Ratios by name, for this torso. Raises TorsoError as ``parameter_groups``, and for one ratio of all levels."""
     groups = tuple(_group(torso, name) for name in ratios)
     return StiffnessRatios(groups, np.array(list(ratios.values()), dtype=float))
 
 
 def scaled_torso(torso: TorsoModel, ratios: Mapping[str, float]) -> TorsoModel:
-    """The torso with its stiffness times these ratios. Raises TorsoError as ``parameter_groups``."""
+    """The torso with its stiffness times these ratios. Raises TorsoError as ``torso_ratios``."""
     found = torso_ratios(torso, ratios)
     mu, lambda_ = found.scale_tissue(torso.tissue.lame_mu, torso.tissue.lame_lambda)
     return replace(
@@ -166,6 +166,8 @@ def _group(torso: TorsoModel, name: str) -> ParameterGroup:
     whole = parameter_group(stem, torso.joints.kinds)
     if not part:
         return whole
+    if part == LEVELS:
+        raise TorsoError(f"'{name}' is a ratio for each level; wanted the levels by name, such as {stem}{AT}T8-T9")
     if part in TISSUE_REGIONS:
         heights = element_heights(torso)
         found = whole.within(name, elements=heights >= 0.0 if part == "thorax" else heights < 0.0)

@@ -26,6 +26,8 @@ from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.sensitivity import Linearisation
 
+LARGEST_LOG = 700.0  # of a ratio; from 710 on no double holds it, nor the inverse
+
 
 class Pose(NamedTuple):
     """Bone positions (B, 3) mm, bone rotations (B, 3, 3), free nodes (F, 3) mm; or tangents or cotangents of them."""
@@ -61,9 +63,15 @@ class DifferentiableEquilibrium:
 
         Raises
         ------
-        EquilibriumError : wrong number of parameters, a value that is not finite, or no equilibrium.
+        EquilibriumError : wrong number of parameters, a value that is not finite, a ratio that no number holds, or no
+            equilibrium.
         """
-        self._last = SolvedPose(self, read_only("parameters", parameters, (len(self.names),), EquilibriumError), start)
+        parameters = read_only("parameters", parameters, (len(self.names),), EquilibriumError)
+        for group, value in zip(self.groups, parameters.tolist()):
+            if abs(value) > LARGEST_LOG:
+                limits = f"from {-LARGEST_LOG:g} to {LARGEST_LOG:g}"
+                raise EquilibriumError(f"log {group.name} is {value:g}; wanted {limits}")
+        self._last = SolvedPose(self, parameters, start)
         return self._last
 
     def at(self, parameters: Floats, pose: Pose) -> SolvedPose:

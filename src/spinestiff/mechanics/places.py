@@ -84,8 +84,10 @@ def turned_with_pelvis(torso: TorsoModel, state: TorsoState, obliquity: float) -
 
 
 def shifted_shoulder(supports: Supports, shoulder_mm: float) -> Supports:
-    """The supports with the shoulder's pad moved from where it is."""
+    """The supports with the shoulder's pad moved from where it is. Raises EquilibriumError where there is none."""
     springs, moved = supports.springs, supports.of_kind(SupportKind.SHOULDER)
+    if shoulder_mm and not moved.any():
+        raise EquilibriumError(f"no pad holds a shoulder, so none can be moved by {shoulder_mm:g} mm; ask for 0 mm")
     targets = springs.targets + np.where(moved[:, None], shoulder_mm * _lateral(springs), 0.0)
     return replace(supports, springs=replace(springs, targets=targets))
 

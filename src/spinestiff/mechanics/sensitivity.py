@@ -60,11 +60,11 @@ class Linearisation:
         terms = system.all_terms(load)
         gradient = system.potential.gradient(self._state, self._stiffness, terms)
         residual = system.residual_norm(system.free(gradient))
-        if residual > max(LARGEST_RELATIVE_RESIDUAL * load.size, system.tolerance(load)):
-            raise EquilibriumError(
-                f"no derivative at a residual of {residual:.1e} N under {load.size:.0f} N: "
-                "the state, load and ratios do not belong together"
-            )
+        limit = max(LARGEST_RELATIVE_RESIDUAL * load.size, system.tolerance(load))
+        if residual > limit:
+            loose = equilibrium.residual_norm > limit
+            why = "solve to a smaller tolerance" if loose else "the state, load and ratios do not belong together"
+            raise EquilibriumError(f"no derivative at a residual of {residual:.1e} N under {load.size:.0f} N: {why}")
         self._hessian, self._factor = tangent or system.tangent(self._state, self._stiffness, terms)
         if not self._factor.positive_definite:
             raise EquilibriumError("no derivative at a state that is no energy minimum (indefinite tangent)")

@@ -48,7 +48,8 @@ class System(ShortRepr):
     torso, supports : what is solved.
     terms : further energies of single bones and nodes, e.g. image terms (``mechanics.terms.Term``).
     backend : sparse solver, see ``mechanics.factor.Analysis``, or "two-level" (``mechanics.multilevel``), which is also
-        taken where none is named and there are more than 80,000 unknowns.
+        taken where none is named here, whatever the environment says, and ten-node elements have more than 80,000
+        unknowns.
     laws : further energies that couple bones or nodes (``mechanics.assembly.Law``).
 
     Raises
@@ -115,7 +116,8 @@ class System(ShortRepr):
 
         Raises
         ------
-        EquilibriumError : other degrees of freedom are held. TorsoError : a spring on a bone that there is not.
+        EquilibriumError : other degrees of freedom are held, or the place is of a pad that these springs lack.
+        TorsoError : a spring on a bone that there is not.
         """
         if not np.array_equal(supports.held, self.supports.held):
             raise EquilibriumError("the supports hold other degrees of freedom than the problem's; build a new problem")
@@ -137,7 +139,7 @@ class System(ShortRepr):
 
         Raises
         ------
-        EquilibriumError : an obliquity is asked of a pelvis that is free to turn.
+        EquilibriumError : an obliquity is asked of a pelvis that is free to turn, or a place of a shoulder without pad.
         """
         if place.obliquity:
             held_pelvis(self.torso, self.supports)
