@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spinestiff.curves.changes import change_between, change_words, forms_in_words, signed_levels, tracked_noise
+from spinestiff.curves.tilts import tilts
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.tracking.quality import quality_of
@@ -72,6 +73,27 @@ def test_worse_corners_and_the_other_definition_count():
     # A mid-line is between the middles of two pairs.
     midline = change_between(VIEW, REST, PUSHED, "midline")
     assert midline.sds[1] == pytest.approx(change_between(VIEW, REST, PUSHED).sds[1] / np.sqrt(2.0), rel=0.01)
+
+
+def test_a_vertebra_that_ends_one_curve_and_begins_the_other_errs_in_both():
+    """T8 ends the largest curve at rest and begins that under the push: by mid-lines its annotation counts twice."""
+    rest = corners([0.0, 6.0, 12.0, 4.0, -4.0, -12.0, -8.0, -4.0, 0.0, 2.0])
+    pushed = corners([0.0, 2.0, 4.0, 0.0, -4.0, -8.0, -2.0, 4.0, 9.0, 6.0])
+    change = change_between(VIEW, rest, pushed, "midline")
+    assert signed_levels(change) == "T5–T8 to T8–T11"
+    random, found = np.random.default_rng(7), []
+    tracking = float(tracked_noise(rest.quality)[0, 0]) * VIEW.magnification
+    for _ in range(DRAWS):
+        mark = random.normal(0.0, 0.02 * 40.0, rest.corners.shape)
+        drawn = [one.corners + mark + random.normal(0.0, tracking, mark.shape) for one in (rest, pushed)]
+        before, after = (tilts(NAMES, each, VIEW, "midline") for each in drawn)
+        found.append(after.cobb_degrees("T8", "T11") - before.cobb_degrees("T5", "T8"))
+    assert np.std(found) == pytest.approx(change.sds[0], rel=0.06)
+
+
+def test_a_picture_has_not_changed_since_itself():
+    assert change_between(VIEW, PUSHED, PUSHED).sds == (0.0, 0.0, 0.0)
+    assert min(change_between(VIEW, PUSHED, replace(PUSHED)).sds) > 0.0
 
 
 def test_words_have_sign_error_and_levels():

@@ -15,9 +15,11 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.curves import pushes
 from spinestiff.curves.angle_csv import angles_csv
 from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, reading_of, rest_reading, seen_frames
+from spinestiff.curves.tilts import tilts
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
 from spinestiff.study.assessment import change_record
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import open_visit
@@ -143,6 +145,25 @@ BOXES = np.array([[20.0, -10.0], [-20.0, -10.0], [-20.0, 10.0], [20.0, 10.0]])
 SPINE = VertebraCorners(
     VERTEBRAE[4:13], BOXES + [[[200.0 + 0.5 * (i - 4) ** 2, 100.0 + 30.0 * i]] for i in range(9)], np.full((9, 4), 0.8)
 )
+
+
+def test_an_angle_of_corners_that_were_hardly_followed_is_known_less_well():
+    """Annotation's error and tracking's, against draws of both."""
+    turns = np.radians([12.0, 12.0, 9.0, 5.0, 0.0, -5.0, -9.0, -12.0, -12.0])
+    turn = np.array([[np.cos(turns), -np.sin(turns)], [np.sin(turns), np.cos(turns)]]).transpose(2, 0, 1)
+    quads = BOXES @ turn + 200.0 + 30.0 * np.arange(9)[:, None, None] * [0.0, 1.0]
+    marked, followed = (
+        VertebraCorners(SPINE.vertebrae, quads, np.full((9, 4), quality)) for quality in (1.0, LOWEST_QUALITY)
+    )
+    sure, unsure = (reading_of("a", corners, VIEW) for corners in (marked, followed))
+    random, found = np.random.default_rng(2), []
+    error = np.hypot(0.02 * 40.0, VIEW.magnification * error_of(np.array(LOWEST_QUALITY)) / np.sqrt(2.0))
+    for _ in range(600):
+        spine = tilts(SPINE.vertebrae, quads + random.normal(0.0, error, quads.shape), VIEW)
+        found.append(spine.cobb_degrees(unsure.largest.angle.upper, unsure.largest.angle.lower))
+    assert unsure.largest.angle == sure.largest.angle
+    assert unsure.largest.sd_deg == pytest.approx(np.std(found), rel=0.08)
+    assert unsure.largest.sd_deg > 1.4 * sure.largest.sd_deg == pytest.approx(1.4 * np.degrees(2.0 * 0.02), rel=1e-6)
 
 
 @pytest.fixture

@@ -202,8 +202,22 @@ def test_what_is_missing_is_said(kept, said):
 
 def test_frames_without_a_vertebra_in_common_are_said():
     frames = frames_of([25.0 * CURVE, 20.0 * CURVE], (0.0, 60.0))
-    nothing = replace(frames[1], quality=np.zeros((17, 4)))
-    assert "frames 0 and 1 show fewer than two" in push_response([frames[0], nothing], rest_of(25.0)).missing
+    upper = np.where(np.arange(17)[:, None] < 8, 1.0, 0.0) * np.ones(4)
+    parts = [replace(frames[0], quality=upper), replace(frames[1], quality=1.0 - upper)]
+    assert "frames 0 and 1 show fewer than two" in push_response(parts, rest_of(25.0)).missing
+
+
+def test_a_frame_that_was_lost_leaves_the_others_their_say():
+    """The largest force, or the first frame without force: what is left is as if the frame had not been taken."""
+    forces = (0.0, *STEPS)
+    frames = frames_of([25.0 * CURVE + 0.2 * force * BENDING for force in forces], forces)
+    for number in (0, 4):
+        lost = replace(frames[number], quality=np.zeros((17, 4)))
+        found = push_response([lost if i == number else frame for i, frame in enumerate(frames)], rest_of(25.0))
+        assert found == push_response([*frames[:number], *frames[number + 1 :]], rest_of(25.0))
+        assert found.curve.n_per_degree.value == pytest.approx(5.0) and found.force_n == (40.0 if number else 60.0)
+    nothing = [replace(frame, quality=np.zeros((17, 4))) if frame.force_n else frame for frame in frames]
+    assert push_response(nothing, rest_of(25.0)).missing == "no usable frame under a force"
 
 
 @pytest.mark.parametrize("wrong", [(-0.1, 1.0), (0.02, float("nan"))])

@@ -59,8 +59,9 @@ def test_motion_takes_sharpness_and_nothing_else_does():
     same = quality(noisy(bones(), 20.0), 3.0 * noisy(bones(), 20.0, 3) + 500.0, noisy(bones(), 60.0, 5))
     assert [frame.sharpness for frame in same] == pytest.approx([1.0, 1.0, 1.0], abs=0.06)
     # Noise has slopes, too; they must not pass for sharpness.
-    clean, grainy = quality(noisy(bones(), 5.0), noisy(bones(), 200.0, 6))
-    assert (clean.sharpness, grainy.sharpness) == pytest.approx((1.0, 0.9), abs=0.05)
+    clean, *grainy = quality(noisy(bones(), 5.0), noisy(bones(), 200.0, 6), noisy(bones(), 300.0, 7))
+    assert [frame.contrast_to_noise for frame in grainy] == pytest.approx([1.4, 1.0], abs=0.1)
+    assert [frame.sharpness for frame in (clean, *grainy)] == pytest.approx([1.0, 1.0, 1.0], abs=0.05)
 
 
 def test_a_vertebra_whose_edges_drown_in_noise_leaves_those_of_the_others():

@@ -178,6 +178,16 @@ def test_how_somebody_sets_corners_is_taken_over():
     assert np.median(errors(guided, wanted)[others]) < 1.2
 
 
+def test_corners_that_are_as_they_were_proposed_move_no_others():
+    drawn = phantom()
+    clicks = drawn.clicks(*CLICKED)
+    first = propose_boxes(radiograph(drawn), clicks, VERTEBRAE)
+    again = propose_boxes(radiograph(drawn), clicks, VERTEBRAE, dict(zip(VERTEBRAE[1::2], first[1::2])))
+    lower = 0.72 * (again - first)[::2, :, 1].mean(axis=0)
+    # To the step of a quarter of a millimetre in which edges are looked for.
+    assert lower == pytest.approx(np.zeros(4), abs=0.25)
+
+
 @pytest.mark.parametrize(
     "box",
     [

@@ -114,6 +114,15 @@ def test_a_vertebra_that_flow_lost_is_found_beside_its_neighbour():
     assert errors_mm(track(frames, {0: corners(truth[0])}), truth).max() < 0.5
 
 
+def test_the_order_in_which_vertebrae_are_marked_changes_nothing():
+    frames, truth = sequence(70.0, count=2)
+    order = np.random.default_rng(1).permutation(len(truth[0]))
+    mixed = VertebraCorners(tuple(VERTEBRAE[i] for i in order), VIEW.from_pixels(truth[0][order]))
+    tracked = track(frames, {0: mixed})
+    assert tracked[1].vertebrae == VERTEBRAE[: len(order)]
+    assert errors_mm(tracked, truth).max() < 0.5
+
+
 @pytest.mark.parametrize("lag", [-4.0, 4.0])
 def test_arches_brighter_than_the_walls_do_not_take_vertebrae_along(lag):
     """Those of two vertebrae side by side lie 2 mm off, as where vertebrae turn about their own axis: the patches look
@@ -487,6 +496,8 @@ def test_frames_that_belong_to_no_sequence():
         track([radiograph(np.ones(SHAPE, dtype=np.float32)), frames[1]], {0: first})
     with pytest.raises(TrackingError, match="no annotated frame to track from"):
         track(frames, {})
+    with pytest.raises(TrackingError, match="no annotated frame to track from"):
+        track(frames, {0: first.selected(())})
     with pytest.raises(TrackingError, match="frame 2 is annotated, but the sequence has 2 frames"):
         track(frames, {0: first, 2: first})
     with pytest.raises(TrackingError, match="no annotated vertebra was found"):

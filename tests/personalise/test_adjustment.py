@@ -124,6 +124,34 @@ def test_a_wrong_corner_is_set_aside(template, prior, girl):
     assert np.linalg.norm(found.shape.positions - clean.shape.positions, axis=1).max() < 0.4
 
 
+def test_a_wrong_pedicle_is_set_aside_as_a_wrong_corner_is(template, prior, girl):
+    """8 mm off, eight times as far as pedicles lie beside their places."""
+    random, yaws = np.random.default_rng(3), []
+    marked = PediclePoints(template.vertebrae, np.zeros((17, 2, 2)))
+    points = image_points(template, VIEWS[0], VertebraCorners(template.vertebrae, np.zeros((17, 4, 2))), marked)
+    seen = points.residuals(girl, KNOWN[0])
+    seen += random.normal(size=seen.shape) * np.where(points.outward == 0.0, 0.5, np.hypot(0.5, 1.0))[:, None]
+    lateral, wrong = pictures(template, girl, 0.5)[1], 17 * 4 + 2 * 9
+    for off in (0.0, 8.0):
+        seen[wrong, 0] += off
+        frontal = replace(points, measured=seen * VIEWS[0].magnification)
+        found = adjust([frontal, lateral], prior, start(template), KNOWN, KNOWN)
+        assert np.flatnonzero(found.weights[0] < 0.1).tolist() == ([wrong] if off else [])
+        yaws.append(turn_errors(found, girl)[9, 1])
+    assert np.degrees(np.abs(np.diff(yaws))) < 2.0
+
+
+def test_a_residual_as_far_as_the_cutoff_has_a_quarter_of_its_weight(template, prior, girl):
+    """Four standard deviations, a pedicle's own scatter among them, or 3 mm where that is more."""
+    marked = PediclePoints(template.vertebrae[9:10], np.zeros((1, 2, 2)))
+    points = image_points(template, VIEWS[0], VertebraCorners(template.vertebrae, np.zeros((17, 4, 2))), marked)
+    for sd, corner, pedicle in ((0.25, 3.0, 4.0 * np.hypot(0.25, 1.0)), (2.0, 8.0, 4.0 * np.hypot(2.0, 1.0))):
+        seen = points.residuals(girl, KNOWN[0])
+        seen[:, 0] += np.where(points.outward == 0.0, corner, pedicle)
+        system = _System([replace(points, measured=seen * VIEWS[0].magnification)], prior, KNOWN[:1])
+        assert system.normal(girl, KNOWN[:1], sd).weights == pytest.approx(np.full(len(points), 0.25))
+
+
 def test_swapped_names_are_told_by_the_other_view(template, prior, girl):
     """T8 and T9 exchanged in the lateral picture: the frontal one and the neighbours outvote it."""
     views = pictures(template, girl, 0.5)

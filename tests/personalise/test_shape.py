@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.tetrahedra import dihedral_angles
 from spinestiff.anatomy.torso import TET10_EDGES, TorsoModel
 from spinestiff.errors import EquilibriumError, FitError, TorsoError, TrackingError
 from spinestiff.imaging.features import VertebraCorners, box_sizes
+from spinestiff.imaging.pedicles import PediclePoints, pedicle_centres
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
@@ -280,6 +282,27 @@ def test_the_front_alone_is_enough_with_a_warning(template, girl, from_the_front
     view = NOMINAL["frontal"]
     assert np.array_equal(from_the_front.views["frontal"].source, view.source)
     assert from_the_front.poses["frontal"].shift.tolist() == [0.0, 0.0]
+
+
+def test_what_is_set_aside_in_the_only_picture_is_told(template, see):
+    """One corner and one pedicle, by what contradicts them: there is no other view."""
+    view, random = NOMINAL["frontal"], np.random.default_rng(0)
+    seen = see(template, view)
+    corners = seen.corners + random.normal(0.0, 0.3, seen.corners.shape)
+    corners[7, 1] += [-9.0, -12.0]
+    bones = np.repeat(template.vertebra_bones, 2)
+    places = PointsOnBones(bones, pedicle_centres(template).reshape(-1, 3)).positions(template.rest_pose)
+    marked = view.project(places).reshape(17, 2, 2) + random.normal(0.0, 0.5, (17, 2, 2))
+    marked[9, 0] += [14.0, 0.0]
+    found = personalise(
+        template,
+        {"frontal": (VertebraCorners(template.vertebrae, corners), view)},
+        geometry="known",
+        pedicles={"frontal": PediclePoints(template.vertebrae, marked)},
+    )
+    told = [line for line in found.warnings if "set aside" in line]
+    assert [line.split(" contradicts ")[0] for line in told] == ["frontal: T8: a corner", "frontal: T10: a pedicle"]
+    assert not any("other view" in line for line in told)
 
 
 def test_a_skin_that_misses_the_tape_is_told_with_a_kept_mesh_too(template, see):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -41,7 +42,7 @@ def change_between(
 
     Parameters
     ----------
-    rest, pushed : corners on the detector.
+    rest, pushed : corners on the detector; the same ones do not change, nor err.
     same_origin : both were tracked from one annotated picture, or one from the other.
 
     Returns
@@ -66,11 +67,12 @@ def change_between(
     sds = []
     for first, second in ends.values():
         weights = [-_weights(common, first), _weights(common, second)]
-        own = sum(float(np.sum((w * sd) ** 2)) for w, sd in zip(weights, tracking))
-        marked = [w * sd for w, sd in zip(weights, annotation)]
-        if same_origin:
-            marked = [weights[0] * annotation[0] + weights[1] * annotation[0]]
-        sds.append(float(np.degrees(np.sqrt(own + sum(float(np.sum(part**2)) for part in marked)))))
+        if definition == "midline":
+            # Both endplates of a vertebra have one tilt, and so one error.
+            weights = [weight.sum(axis=0) * [[1.0], [0.0]] for weight in weights]
+        own = _variance(weights, tracking, shared=pushed is rest)
+        marked = _variance(weights, annotation, shared=same_origin)
+        sds.append(float(np.degrees(np.sqrt(own + marked))))
     return replace(change, sds=(sds[0], sds[1], sds[2]))
 
 
@@ -102,3 +104,9 @@ def _weights(vertebrae: tuple[str, ...], levels: tuple[str, str]) -> Floats:
     found = np.zeros((2, len(vertebrae)))
     found[0, vertebrae.index(levels[0])], found[1, vertebrae.index(levels[1])] = 1.0, -1.0
     return found
+
+
+def _variance(weights: Sequence[Floats], sds: Sequence[Floats], shared: bool) -> float:
+    """Of a change to which the tilts of both pictures add with ``weights`` (2, V), rad2; errors are alike if shared."""
+    parts = [(weights[0] + weights[1]) * sds[0]] if shared else [weight * sd for weight, sd in zip(weights, sds)]
+    return sum(float(np.sum(part**2)) for part in parts)

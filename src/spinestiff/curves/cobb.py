@@ -216,21 +216,30 @@ def read_cobb(
 
 
 def read_cobb_of_view(
-    image: str, levels: tuple[str, ...], points: Floats, definition: Definition = "endplate", noise: float | None = None
+    image: str,
+    levels: tuple[str, ...],
+    points: Floats,
+    definition: Definition = "endplate",
+    noise: float | None = None,
+    tracking: float | Floats = 0.0,
 ) -> CobbReading:
-    """``read_cobb`` of corners that a view has oriented: ``points`` as ``spine_curves`` wants them.
+    """``read_cobb`` of corners that a view has oriented: ``points`` and ``tracking`` as ``spine_curves`` wants them.
 
     Raises
     ------
     SpinestiffError : as ``spine_curves`` does.
     """
-    curves, largest, noise = spine_curves(levels, points, definition, noise)
+    curves, largest, noise = spine_curves(levels, points, definition, noise, tracking)
     seen = points[:, [1, 0, 3, 2]] * [1.0, -1.0]
     return CobbReading(image, "ok", _noise_warnings(largest), definition, curves, largest, "right", noise, levels, seen)
 
 
 def spine_curves(
-    levels: tuple[str, ...], points: Floats, definition: Definition, noise: float | None = None
+    levels: tuple[str, ...],
+    points: Floats,
+    definition: Definition,
+    noise: float | None = None,
+    tracking: float | Floats = 0.0,
 ) -> tuple[tuple[Curve, ...], Curve, float]:
     """A spine's curves from head to foot, the largest of them, and the corners' noise they were given.
 
@@ -241,6 +250,7 @@ def spine_curves(
         inferior-left.
     definition : "endplate" or "midline".
     noise : standard deviation of each coordinate, in the points' unit; None = 2 % of the median width.
+    tracking : (V, 4), or of all, what tracking adds to that.
 
     Raises
     ------
@@ -251,7 +261,7 @@ def spine_curves(
     largest = (main.degrees, levels.index(main.upper), levels.index(main.lower))
     ends = [*reversed(_chain(spine, largest, upwards=True)), largest, *_chain(spine, largest, upwards=False)]
     noise = usual_noise(points) if noise is None else noise
-    sds = tilt_sds(points, definition, noise)
+    sds = tilt_sds(points, definition, np.hypot(noise, tracking))
     middles = points.mean(axis=1)
     curves = []
     for degrees, i, j in ends:

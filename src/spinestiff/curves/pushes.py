@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spinestiff.curves.changes import change_between, forms_in_words
+from spinestiff.curves.changes import change_between, forms_in_words, tracked_noise
 from spinestiff.curves.cobb import CobbReading, Definition, read_cobb_of_view
 from spinestiff.curves.response import GAUGE, FrameCorners, GaugeError, push_response
 from spinestiff.curves.tilts import CobbChange, tilts
@@ -157,9 +157,9 @@ def reading_of(
     definition: Definition = "endplate",
     noise_px: float | None = None,
 ) -> CobbReading:
-    """The Cobb angles of corners on the detector of a frontal view."""
+    """The Cobb angles of corners on the detector of a frontal view; tracked ones err as their quality says, too."""
     left, up = picture_axes(view)
     noise = None if noise_px is None else noise_px * float(view.pixel_spacing.mean())
-    return read_cobb_of_view(
-        image, corners.vertebrae, corners.corners @ np.stack([left, up], axis=1), definition, noise
-    )
+    tracking = np.where(corners.quality < 1.0, view.magnification * tracked_noise(corners.quality), 0.0)
+    points = corners.corners @ np.stack([left, up], axis=1)
+    return read_cobb_of_view(image, corners.vertebrae, points, definition, noise, tracking)

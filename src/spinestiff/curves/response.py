@@ -49,7 +49,7 @@ GAUGE = GaugeError()
 
 @dataclass(frozen=True)
 class FrameCorners:
-    """A usable frame of a push.
+    """A frame of a push.
 
     Attributes
     ----------
@@ -116,15 +116,17 @@ class _Followed:
 
 
 def push_response(frames: Sequence[FrameCorners], rest: SpineTilts, gauge: GaugeError = GAUGE) -> PushResponse:
-    """What the usable frames of one push say without a model.
+    """What the frames of one push say without a model.
 
     Parameters
     ----------
-    frames : in order. Without one of no force, or without a loaded one, ``missing`` says so.
+    frames : in order; those that show fewer than two whole vertebrae do not count. Without one of no force, or without
+        a loaded one, ``missing`` says so.
     rest : of the rest picture, which chooses the Cobb angle's end vertebrae. Chosen in the frame that is measured, the
         largest angle of many would be too large by its own noise.
     gauge : its errors.
     """
+    frames = [frame for frame in frames if len(frame.whole) > 1]
     force = max((frame.force_n for frame in frames), default=0.0)
     start = next((frame for frame in frames if frame.force_n == 0.0), None)
     if start is None or force == 0.0:

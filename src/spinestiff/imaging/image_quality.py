@@ -90,6 +90,7 @@ def _measured(frame: Radiograph, corners: VertebraCorners) -> _Measured:
     image = np.asarray(frame.pixels, dtype=np.float32)
     scales = [max(sigma / mm, 0.6) for sigma in (FINE_MM, COARSE_MM)]
     fine, coarse = (cv2.GaussianBlur(image, (0, 0), scale) for scale in scales)
+    noise_slope = _noise_slope(scales[0])
     ends = image.min(), image.max()
     quads = frame.view.pixels(corners.corners)
     slopes, structure, noises, saturated, count = {}, [], [], 0, 0
@@ -103,8 +104,7 @@ def _measured(frame: Radiograph, corners: VertebraCorners) -> _Measured:
             [np.mean(np.gradient(blurred[window], axis=axis)[mask] ** 2) for axis in (1, 0)]
             for blurred in (fine, coarse)
         ]
-        # White noise's share in the slope of a Gaussian's smoothing.
-        edges = np.maximum(np.array(found[0]) - noise**2 / (8.0 * np.pi * scales[0] ** 4), 0.0)
+        edges = np.maximum(np.array(found[0]) - noise**2 * noise_slope, 0.0)
         if min(found[1]) > 0.0:
             along, down = np.sqrt(edges / np.array(found[1]))
             slopes[name] = (float(along), float(down))
@@ -131,6 +131,20 @@ def _within(quad: Floats, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], 
     mask = np.zeros((high - low)[::-1], np.uint8)
     cv2.fillConvexPoly(mask, np.rint(outline - low).astype(np.int32), 1)
     return (slice(low[1], high[1]), slice(low[0], high[0])), mask.astype(bool)
+
+
+def _noise_slope(sigma: float) -> float:
+    """Mean squared slope along an axis that white noise of standard deviation 1 keeps under a Gaussian's smoothing.
+
+    Slopes between pixels two apart are less than those of the Gaussian itself, whose square would be three times as
+    large where its width is 0.6 pixels.
+    """
+    import cv2
+
+    middle = int(np.ceil(5.0 * sigma)) + 2
+    point = np.zeros((2 * middle + 1, 2 * middle + 1), np.float32)
+    point[middle, middle] = 1.0
+    return float(np.sum(np.gradient(cv2.GaussianBlur(point, (0, 0), sigma), axis=1) ** 2))
 
 
 def _noise(window: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:

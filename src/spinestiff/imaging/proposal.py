@@ -307,7 +307,8 @@ def _pairs(costs: list[Floats], tried: list[list[Floats]]) -> Floats:
 def _habit(
     strip: Strip, expected: ExpectedSpine, places: Floats, tilts: Floats, walls: Floats, held: Mapping[int, Floats]
 ) -> tuple[Floats, Floats]:
-    """How far beside the edges of the picture somebody sets corners: (2,) mm above and below, (2,) mm on either side.
+    """How far beside where the edges of the picture put them somebody sets corners: (2,) mm above and below, (2,) mm on
+    either side.
 
     The median over the vertebrae that were put right, and less than that where they are few.
     """
@@ -316,7 +317,7 @@ def _habit(
     sides: list[list[float]] = [[], []]
     for k in (2 * i + j for i in held for j in (0, 1)):
         cost = _endplate_cost(strip, expected, k, places[k] + near, tilts[k : k + 1], places[k])[:, 0]
-        ends[k % 2].append(-float(near[cost.argmin()]))
+        ends[k % 2].append(-float(near[cost.argmin()]) - (RISE if k % 2 == 0 else -RISE))
         for column, side in enumerate((1.0, -1.0)):
             here = walls[k, column] + side * near
             cost = _wall_cost(strip, expected, places, tilts, k, here, side)

@@ -238,7 +238,8 @@ class _System:
             # Left and right pedicles are not quite alike: a point is as exact as both scatters allow.
             share = np.where(view.outward == 0.0, 1.0, sd**2 / (sd**2 + PEDICLE_SD**2))
             error2 = share * np.sum(residual**2, axis=1)
-            root = 1.0 / (1.0 + error2 / max(CUTOFF * sd, LEAST_CUTOFF_MM) ** 2)
+            cutoff = np.maximum(CUTOFF * sd, LEAST_CUTOFF_MM * np.sqrt(share))
+            root = 1.0 / (1.0 + error2 / cutoff**2)
             cost += float(np.sum(0.5 * error2 * root / sd**2 + 2.0 * np.log(sd) - np.log(share)))
             weight = root**2
             jacobian = np.zeros((len(view), 2, size))

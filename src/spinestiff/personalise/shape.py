@@ -329,11 +329,14 @@ class _Fit:
         scanned: ScanFit | None,
     ) -> Personalised:
         views, poses, fits, rmse = {}, {}, {}, {}
+        pedicles: dict[str, tuple[str, ...]] = {}
         for name, pose, weights, view in zip(self.names, final.poses, final.weights, points):
             corners, nominal = self.pictures[name]
             shift, roll, yaw = pose[:2], float(pose[2]), float(pose[3])
             views[name] = posed(nominal, shift, roll, yaw)
             marked = weights[view.outward == 0.0]
+            aside = view.vertebra[(view.outward != 0.0) & (weights < WRONG_WEIGHT)]
+            pedicles[name] = tuple(torso.vertebrae[row] for row in np.unique(aside))
             fits[name], rmse[name] = vertebra_fits(torso, views[name], corners, marked)
             poses[name] = ViewPose(shift, roll, rmse[name], yaw)
         seen = {vertebra for corners, _ in self.pictures.values() for vertebra in corners.vertebrae}
@@ -359,10 +362,16 @@ class _Fit:
             corner_sd_mm=final.corner_sd,
             quality=quality,
             scan=scanned,
-            warnings=(*self.warnings(fits, prior_only), *(() if scanned is None else scanned.warnings)),
+            warnings=(*self.warnings(fits, pedicles, prior_only), *(() if scanned is None else scanned.warnings)),
         )
 
-    def warnings(self, fits: Mapping[str, Mapping[str, VertebraFit]], prior_only: tuple[str, ...]) -> tuple[str, ...]:
+    def warnings(
+        self,
+        fits: Mapping[str, Mapping[str, VertebraFit]],
+        pedicles: Mapping[str, tuple[str, ...]],
+        prior_only: tuple[str, ...],
+    ) -> tuple[str, ...]:
+        """Lines for the user; ``pedicles``: in each view the vertebrae of which one was set aside, or both."""
         kinds = {view_kind(view) for _, view in self.pictures.values()}
         lines = []
         if "lateral" not in kinds:
@@ -372,12 +381,19 @@ class _Fit:
             )
         if prior_only:
             lines.append(f"{', '.join(prior_only)}: in no radiograph; carried by the neighbours and the template alone")
+        others = "the other view and its neighbours" if len(fits) > 1 else "its neighbours"
         for name, found in fits.items():
             for vertebra, fit in found.items():
                 if fit.wrong_corners:
-                    what = "its corners contradict" if fit.wrong_corners > 2 else "a corner contradicts"
+                    one = fit.wrong_corners == 1
+                    what = "a corner contradicts" if one else f"{fit.wrong_corners} of its corners contradict"
                     lines.append(
-                        f"{name}: {vertebra}: {what} the other view and its neighbours ({fit.rmse_mm:.1f} mm off) and "
-                        "was set aside; check its annotation"
+                        f"{name}: {vertebra}: {what} {others} ({fit.rmse_mm:.1f} mm off) and "
+                        f"{'was' if one else 'were'} set aside; check its annotation"
                     )
+            lines += [
+                f"{name}: {vertebra}: a pedicle contradicts its corners and its neighbours and was set aside; check "
+                "its pedicles"
+                for vertebra in pedicles[name]
+            ]
         return tuple(lines)

@@ -40,7 +40,8 @@ def track(
     Parameters
     ----------
     frames : F radiographs of one view and size, in order of time.
-    annotated : corners (mm on the detector) by frame, 0-based; at least one frame. Frames may name different vertebrae.
+    annotated : corners (mm on the detector) by frame, 0-based; at least one vertebra. Frames may name different ones,
+        in any order.
     observer : called with (frames done, frames in all).
 
     Returns
@@ -56,6 +57,7 @@ def track(
     """
     pictures = Pictures.of(frames)
     view, shape = frames[0].view, frames[0].pixels.shape
+    annotated = {frame: corners for frame, corners in annotated.items() if len(corners)}
     if not annotated:
         raise TrackingError("no annotated frame to track from; wanted at least one")
     for frame, corners in annotated.items():
@@ -74,7 +76,9 @@ def track(
                 observer(len(done), len(frames))
 
     sightings: dict[tuple[int, str], list[_Sighting]] = {}
-    for start, corners in annotated.items():
+    for start, marked in annotated.items():
+        # Neighbours tell of each other: in whatever order they are marked, they are followed head to foot.
+        corners = marked.selected(names)
         for step in (1, -1):
             ends = _ends(start, corners, annotated, len(frames), step)
             order = range(start, max(ends, key=lambda end: abs(end - start)), step)
