@@ -97,6 +97,21 @@ def test_who_does_not_count_is_left_out_with_the_reason():
     assert cohort_statistics(members[:10]) == ()
 
 
+def test_visits_of_one_person_are_not_as_many_people():
+    once = people(8)
+    named = [(f"{one.participant}-{visit}", one.row) for one in once for visit in ("a", "b", "c")]
+    visits = [Member(name, "done", "", row.model_copy(update={"participant": name})) for name, row in named]
+    doubtful = visits[0].row.model_copy(update={"status": "DOUBTFUL"})
+    visits[0] = Member(visits[0].participant, "done", "", doubtful)
+    (alone,), (found,) = cohort_statistics(once), cohort_statistics(visits)
+    assert found.people == 8
+    assert (found.mean_low, found.mean_high, found.alone) == (alone.mean_low, alone.mean_high, alone.alone)
+    assert found.left_out["sub-000-a"] == "doubtful"
+    assert "sub-000-b" not in found.left_out
+    assert found.left_out["sub-000-c"] == found.left_out["sub-007-b"] == "of a person who counts already (same id)"
+    assert cohort_statistics([one for one in visits if one.row.id in ("sub-001", "sub-002")]) == ()
+
+
 def test_all_covariates_together_take_people_enough():
     assert cohort_statistics(people(24))[0].together == ()
     assert len(cohort_statistics(people(25))[0].together) == 4

@@ -11,6 +11,7 @@ from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError
 from spinestiff.estimation.budget import covariance_parts
+from spinestiff.estimation.design import design_at
 from spinestiff.estimation.discrepancy import SKIN_LENGTH_MM, SKIN_SD, DiscrepancyFrame, motion_size, skin_covariance
 from spinestiff.estimation.discrepancy_data import shipped_modes
 from spinestiff.estimation.evaluation import TrialSet
@@ -101,6 +102,27 @@ def test_markers_take_no_equilibrium_of_their_own_and_leave_the_corners_as_they_
     for name, part in less.noise.parts.items():
         assert np.array_equal(more.noise.parts[name][:own, :own], part)
         assert not more.noise.parts[name][own:].any()
+
+
+def test_a_planned_lateral_radiograph_does_not_make_markers_a_view_that_tells_of_the_patients_turn(
+    column, marked
+) -> None:
+    """Radiographs of frontal corners and markers are worth the same whether or not a lateral one might be taken."""
+    found = []
+    for with_side in (False, True):
+        planned = column.trials(TRUTH, forces=(70.0,), push="push 2")
+        if with_side:
+            states = [(one, state_of(column, one)) for one in planned]
+            sides = [column.picture(state, LATERAL, f"{one.label} side", "side", True) for one, state in states]
+            planned = [replace(one, further=(side,)) for one, side in zip(planned, sides)]
+        asked = column.weighed([*marked, *planned])
+        point = asked.solve(np.log(list(TRUTH.values())), np.zeros(len(asked.unknowns)))
+        # Of the loaded trials come those of push 1, then that of push 2; the unloaded ones follow likewise.
+        taken = [number for trial in (0, 1, 3) for number in asked.shown[trial]]
+        assert len(taken) == 6
+        assert asked.showing_more == ({asked.shown[2][1], asked.shown[4][1]} if with_side else frozenset())
+        found.append(design_at(asked, point, asked.slope(point)).ratio_sds(taken))
+    assert np.allclose(*found, rtol=1e-9)
 
 
 def test_markers_stand_beside_pedicles_and_other_radiographs(column, marked) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from spinestiff.study.repeatability import (
 from spinestiff.study.report.figures import as_png
 from spinestiff.study.report.repeat_picture import draw_repeatability
 from spinestiff.study.visit import open_visit
-from spinestiff.subject.estimate_outcome import Estimate
+from spinestiff.subject.estimate_outcome import Estimate, RatioEstimate
 from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.run_record import read_outcome
 
@@ -319,6 +320,41 @@ def test_one_repetition_gives_no_factor() -> None:
     three = repeatability_lines(repeatability([*two, visit("a", 2, bending=0.11)]))
     assert "factor of 1.16 (95 %, from 2 repetitions)" in three[0]
     assert not any("tells nothing" in line for line in three)
+
+
+def test_what_was_held_of_the_ratios_is_told_beside_their_changes() -> None:
+    """A level changes by a factor of 3 where levels are held to be alike: the change's interval does not hold that."""
+    levels, own, alike = 17, 0.4, 0.3
+    apart = np.diff(np.eye(levels), axis=0) / alike
+    gain = np.linalg.inv(np.eye(levels) / own**2 + apart.T @ apart) / own**2
+    sd = own * float(np.sqrt((gain @ gain.T)[8, 8]))
+    found = float(np.exp(np.log(3.0) * gain[8, 8]))
+    visits = [visit("a", 0, sd, level=1.0), visit("a", 1, sd, level=found)]
+    assert repeatability(visits).changes[0].high < 3.0
+    assert not any(line.startswith("note") for line in repeatability_lines(repeatability(visits)))
+    told = repeatability_lines(repeatability([replace(one, held=("level smoothness",)) for one in visits]))
+    assert told[-1].startswith("note: held of the ratios: level smoothness; it draws all estimates alike")
+    assert [line for line in told if line.startswith("note")] == told[-1:]
+
+
+def test_an_estimate_says_what_was_held_of_its_ratios(tmp_path, monkeypatch) -> None:
+    ratio = RatioEstimate.of(0.1, (0.08, 0.125), (False, False), at_bound=False)
+    sds = {"tissue": 0.1}
+    estimate = SimpleNamespace(
+        ratios={"tissue": ratio}, status="CONVERGED", orientation="procrustes", population=None,
+        visit_sd_log=sds, annotation_sd_log=sds, sd_log=sds, held={"level smoothness": "the logs ..."},
+    )  # fmt: skip
+    record = SimpleNamespace(
+        id="a", pushes=(), sex="female", pelvis="estimated", wall="bilateral", priors={}, trunk={}, skin_scan=None
+    )
+    opened = SimpleNamespace(subject=SimpleNamespace(folder=tmp_path, record=record), file=tmp_path.joinpath)
+    module = "spinestiff.study.repeatability"
+    monkeypatch.setattr(f"{module}.read_outcome", lambda *_: estimate)
+    monkeypatch.setattr(f"{module}.refuse_changed", lambda *_: None)
+    monkeypatch.setattr(f"{module}.recorded_steps", lambda _: {"personalise": SimpleNamespace(settings={})})
+    monkeypatch.setattr(f"{module}.input_digest", lambda *_: "")
+    found = estimate_of(opened)
+    assert found.held == ("level smoothness",) and found.ratios["tissue"].known
 
 
 def test_a_picture_is_drawn_of_few_and_of_many() -> None:

@@ -232,6 +232,28 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(visit) -> None:
         sensitivity_study(finer, say, lambda basis: [refit("")])
 
 
+def test_refits_made_while_there_was_nothing_to_compare_them_with_are_made_anew(visit) -> None:
+    """A run is stopped in which the refit with nothing changed had failed, and goes on to one in which it does not."""
+    fails = {"": FitError("no equilibrium"), "−10 %": KeyboardInterrupt()}
+
+    def refit(by):
+        def fit(start):
+            if by in fails:
+                raise fails[by]
+            return {"tissue": 0.05 if by == "" else 0.06}
+
+        return Case("weighed", "force" if by else "nothing", by, fit, {})
+
+    cases = [refit(""), refit("+10 %"), refit("−10 %")]
+    with pytest.raises(KeyboardInterrupt):
+        sensitivity_study(visit, say, lambda basis: cases)
+    fails.clear()
+    found = sensitivity_study(visit, say, lambda basis: cases)
+    assert found.complete
+    assert [one.percent.get("tissue") for one in found.refits] == pytest.approx([0.0, 20.0, 20.0])
+    assert found.force_percent["weighed"] == pytest.approx({"tissue": 20.0})
+
+
 def test_refits_of_another_estimate_are_not_gone_on_with(visit) -> None:
     made = []
 

@@ -1,8 +1,9 @@
 """What a cohort says of people: stiffness against age, height, sex, Cobb angle and kind of curve (``hierarchy``).
 
 Everything is computed in logs, so that effects are factors. A participant counts whose results are up to date, not
-doubtful and without a population as a prior, and whose interval of that stiffness has two closed ends. What all
-estimates are wrong by in the same way, as a default of the model may be, shifts all of them: no number here tells it.
+doubtful and without a population as a prior, and whose interval of that stiffness has two closed ends; of those with
+one id, as visits of one person have, the first. What all estimates are wrong by in the same way, as a default of the
+model may be, shifts all of them: no number here tells it.
 """
 
 from __future__ import annotations
@@ -151,6 +152,7 @@ def cohort_statistics(members: Sequence[Member], difference: float | None = None
 def counted_rows(name: str, members: Sequence[Member]) -> tuple[list[tuple[Row, Stiffness]], dict[str, str]]:
     """Rows that count for a stiffness, and why the others do not, by participant."""
     counted: list[tuple[Row, Stiffness]] = []
+    people: set[str] = set()
     left_out: dict[str, str] = {}
     for member in members:
         row = member.row
@@ -166,7 +168,11 @@ def counted_rows(name: str, members: Sequence[Member]) -> tuple[list[tuple[Row, 
             left_out[member.participant] = "not estimated"
         elif found.sd_log is None:
             left_out[member.participant] = "interval with an open end"
+        elif row.id in people:
+            # Estimates of one person share what is that person's own: they are no two people.
+            left_out[member.participant] = "of a person who counts already (same id)"
         else:
+            people.add(row.id)
             counted.append((row, found))
     return counted, left_out
 

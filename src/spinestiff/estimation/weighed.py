@@ -217,8 +217,9 @@ class WeighedProblem:
     @property
     def showing_more(self) -> frozenset[int]:
         """Numbers of the radiographs that show more than corners of frontal ones."""
-        found = (self.noise.seen[row].radiograph for row, _ in self._further)
-        return frozenset(number for number in found if number is not None)
+        found = (self.noise.seen[row] for row, _ in self._further)
+        pictures = (one.radiograph for one in found if not isinstance(one.target, MarkerTarget))
+        return frozenset(number for number in pictures if number is not None)
 
     @property
     def trials(self) -> int:

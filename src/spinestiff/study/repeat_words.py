@@ -34,7 +34,14 @@ def repeatability_lines(found: Repeatability) -> list[str]:
                 f"{name}: estimates scatter {more} than their own errors let expect (p {one.p_value:.2g}): "
                 f"{number(one.standardised, 2)} times as far, each by its own error"
             )
-    return lines + [change_words(change, found.of) for change in found.changes]
+    lines += [change_words(change, found.of) for change in found.changes]
+    held = dict.fromkeys(name for visit in found.visits for name in visit.held)
+    if held and found.of == "visits":
+        lines.append(
+            f"note: held of the ratios: {', '.join(held)}; it draws all estimates alike, so that differences come out "
+            "smaller than they are, those of single levels shared with neighbours; no interval here tells of it"
+        )
+    return lines
 
 
 def change_words(change: Change, of: Repeated = "visits") -> str:

@@ -103,6 +103,7 @@ class VisitEstimate:
     ----------
     label : of the visit, unique. subject : whose it is. ratios : by name.
     pushes : of the training frames. settings : what else an estimate depends on, by name, as text.
+    held : what was held of the ratios before the fit (``estimation.ratio_priors``), by name.
     rest_pictures, push_pictures : hashes of the radiographs. marks : hash of the annotation. Empty: not known.
     """
 
@@ -114,6 +115,7 @@ class VisitEstimate:
     rest_pictures: frozenset[str] = frozenset()
     push_pictures: frozenset[str] = frozenset()
     marks: str = ""
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -242,6 +244,7 @@ def estimate_of(visit: Visit, annotators: bool = False) -> VisitEstimate:
         _digests(subject, REST_IMAGES.values()),
         _digests(subject, (push.frames for push in record.pushes)),
         " ".join(input_digest(subject, name) for name in PARTS if name.startswith(ANNOTATION_FILE)),
+        tuple(estimate.held),
     )
 
 

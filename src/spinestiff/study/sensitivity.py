@@ -128,7 +128,8 @@ def _earlier(visit: Visit, digest: str) -> tuple[Refit, ...]:
         return ()
     if found.basis != digest or found.complete:
         return ()
-    return tuple(one for one in found.refits if one.ratios)  # what failed is tried again
+    # What failed is tried again, and what had no refit with nothing changed to be compared with.
+    return tuple(one for one in found.refits if one.percent)
 
 
 def _made(case: Case, before: Sequence[Refit]) -> Refit:
