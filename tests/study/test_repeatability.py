@@ -333,7 +333,7 @@ def test_what_was_held_of_the_ratios_is_told_beside_their_changes() -> None:
     assert repeatability(visits).changes[0].high < 3.0
     assert not any(line.startswith("note") for line in repeatability_lines(repeatability(visits)))
     told = repeatability_lines(repeatability([replace(one, held=("level smoothness",)) for one in visits]))
-    assert told[-1].startswith("note: held of the ratios: level smoothness; it draws all estimates alike")
+    assert told[-1].startswith("note: the fits held of the ratios: level smoothness. That pulls the estimates of all")
     assert [line for line in told if line.startswith("note")] == told[-1:]
 
 

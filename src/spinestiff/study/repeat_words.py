@@ -38,8 +38,9 @@ def repeatability_lines(found: Repeatability) -> list[str]:
     held = dict.fromkeys(name for visit in found.visits for name in visit.held)
     if held and found.of == "visits":
         lines.append(
-            f"note: held of the ratios: {', '.join(held)}; it draws all estimates alike, so that differences come out "
-            "smaller than they are, those of single levels shared with neighbours; no interval here tells of it"
+            f"note: the fits held of the ratios: {', '.join(held)}. That pulls the estimates of all visits the same "
+            "way: a change comes out smaller than it is, one of a single level is spread over its neighbours, and the "
+            "intervals of changes do not allow for it"
         )
     return lines
 
