@@ -114,6 +114,22 @@ def test_the_truth_of_parts_is_none_of_a_part_beside_its_whole():
     assert true_values(("lateral_bending", "lateral_bending@lumbar"), truth) == {}
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("lateral_bendin", "'lateral_bendin'"),
+        ("lateral_bending@neck", "unknown part 'neck' in 'lateral_bending@neck'"),
+        ("lateral_bending@levels", "'lateral_bending@levels' is a ratio for each level"),
+    ],
+)
+def test_a_truth_of_what_has_no_ratio_is_refused_as_it_is_read(tmp_path, name, words):
+    path = with_truth(tmp_path, **{"tissue": 0.05, name: 0.1})
+    with pytest.raises(SubjectError) as refused:
+        read_truth(path)
+    assert str(refused.value).startswith(f"{path}: true ratios: ") and words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
 def test_a_truth_of_a_whole_and_its_part_is_refused(tmp_path):
     """Would the part's ratio be relative to the whole's, as in an estimate of both, or its own?"""
     path = with_truth(tmp_path, **{"tissue": 0.05, "lateral_bending": 0.1, "lateral_bending@lumbar": 2.0})

@@ -59,6 +59,20 @@ def check_parameters(names: Sequence[str]) -> None:
             raise TorsoError(f"unknown part '{part}' in '{name}'; {_WANTED[False]}")
 
 
+def check_ratios(names: Sequence[str]) -> None:
+    """Whether ratios of these names, a value each, can be put into a torso.
+
+    Raises
+    ------
+    TorsoError : as ``check_parameters``; one value for each level.
+    """
+    check_parameters(names)
+    for name in names:
+        stem, _, part = name.partition(AT)
+        if part == LEVELS:
+            raise TorsoError(f"'{name}' is a ratio for each level; wanted the levels by name, such as {stem}{AT}T8-T9")
+
+
 def expanded(torso: TorsoModel, names: Sequence[str]) -> tuple[str, ...]:
     """The names with each ``group@levels`` as one name a level of the torso, from above downward."""
     check_parameters(names)
@@ -91,7 +105,8 @@ def parameter_groups(torso: TorsoModel, names: Sequence[str]) -> tuple[Parameter
 
 
 def torso_ratios(torso: TorsoModel, ratios: Mapping[str, float]) -> StiffnessRatios:
-    """Ratios by name, for this torso. Raises TorsoError as ``parameter_groups``, and for one ratio of all levels."""
+    """Ratios by name, for this torso. Raises TorsoError as ``check_ratios`` and ``parameter_groups``."""
+    check_ratios(tuple(ratios))
     groups = tuple(_group(torso, name) for name in ratios)
     return StiffnessRatios(groups, np.array(list(ratios.values()), dtype=float))
 
@@ -166,8 +181,6 @@ def _group(torso: TorsoModel, name: str) -> ParameterGroup:
     whole = parameter_group(stem, torso.joints.kinds)
     if not part:
         return whole
-    if part == LEVELS:
-        raise TorsoError(f"'{name}' is a ratio for each level; wanted the levels by name, such as {stem}{AT}T8-T9")
     if part in TISSUE_REGIONS:
         heights = element_heights(torso)
         found = whole.within(name, elements=heights >= 0.0 if part == "thorax" else heights < 0.0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from spinestiff.anatomy.regions import AT
+from spinestiff.anatomy.regions import AT, check_ratios
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.errors import EquilibriumError, SubjectError, TorsoError
 from spinestiff.files import read_json
 from spinestiff.study.forecasts import fit_end
 from spinestiff.study.trials import PushSet, rise_of
@@ -22,7 +22,7 @@ def read_truth(path: Path) -> dict[str, float]:
 
     Raises
     ------
-    SubjectError : no such file; no ratios in it; a whole's ratio beside that of a part of it.
+    SubjectError : no such file; no ratios in it; a name that no ratio has; a whole's ratio beside a part's.
     """
     record = read_json(path)
     try:
@@ -32,6 +32,10 @@ def read_truth(path: Path) -> dict[str, float]:
         sound = False
     if not sound:
         raise SubjectError(f"{path}: holds no true ratios; wanted the truth file of a synthetic subject")
+    try:
+        check_ratios(tuple(ratios))
+    except TorsoError as error:
+        raise SubjectError(f"{path}: true ratios: {error}") from None
     for part in ratios:
         whole = part.partition(AT)[0]
         if part != whole in ratios:
