@@ -507,8 +507,8 @@ FAULTS = (
     Fault(
         "sensitivity: given for a state out of balance",
         "mechanics/sensitivity.py",
-        "if residual > max(",
-        "if residual > 1e9 + max(",
+        "if residual > limit:",
+        "if residual > 1e9 + limit:",
         MECHANICS + "/test_sensitivity.py",
     ),
     Fault(
