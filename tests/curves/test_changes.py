@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spinestiff.curves.changes import change_between, change_words, forms_in_words, signed_levels, tracked_noise
+from spinestiff.curves.cobb import TRACKED_TURN
 from spinestiff.curves.tilts import tilts
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view
@@ -34,6 +35,15 @@ def corners(tilts, error=ERROR_MM):
 
 REST = corners([4.0, 8.0, 10.0, 6.0, 0.0, -6.0, -10.0, -8.0, -4.0, 0.0])
 PUSHED = corners([2.0, 4.0, 5.0, 3.0, 0.0, -3.0, -5.0, -4.0, -2.0, 0.0])
+
+
+def turned(points, angles):
+    """Each vertebra by its angle, rad, about its middle."""
+    middles = points.mean(axis=1, keepdims=True)
+    out = points - middles
+    a = angles[:, None]
+    across, down = np.cos(a) * out[..., 0] - np.sin(a) * out[..., 1], np.sin(a) * out[..., 0] + np.cos(a) * out[..., 1]
+    return middles + np.stack([across, down], axis=-1)
 
 
 @pytest.mark.parametrize("same_origin", [True, False])
@@ -70,22 +80,36 @@ def test_a_change_of_levels_keeps_the_annotation_and_is_less_certain():
 def test_worse_corners_and_the_other_definition_count():
     worse = replace(PUSHED, quality=np.full_like(PUSHED.quality, float(quality_of(np.array(4.0 * ERROR_MM)))))
     assert change_between(VIEW, REST, worse).sds[1] > 2.0 * change_between(VIEW, REST, PUSHED).sds[1]
-    # A mid-line is between the middles of two pairs.
+    # A mid-line is between the middles of two pairs, which tracking turns with their vertebra.
     midline = change_between(VIEW, REST, PUSHED, "midline")
-    assert midline.sds[1] == pytest.approx(change_between(VIEW, REST, PUSHED).sds[1] / np.sqrt(2.0), rel=0.01)
+    by_corners = change_between(VIEW, REST, PUSHED).sds[1] / np.sqrt(2.0)
+    assert midline.sds[1] == pytest.approx(TRACKED_TURN * by_corners, rel=0.01)
+
+
+def test_a_given_noise_is_that_of_the_annotation():
+    """Annotated twice, so that nothing of it drops out; the default is 2 % of 40 mm on the detector."""
+    usual, doubled = (
+        np.array(change_between(VIEW, REST, PUSHED, same_origin=False, noise=noise).sds)
+        for noise in (None, 2.0 * 0.02 * 40.0 / VIEW.magnification)
+    )
+    tracking = np.array(change_between(VIEW, REST, PUSHED).sds)
+    assert doubled**2 - tracking**2 == pytest.approx(4.0 * (usual**2 - tracking**2), rel=1e-6)
 
 
 def test_a_vertebra_that_ends_one_curve_and_begins_the_other_errs_in_both():
-    """T8 ends the largest curve at rest and begins that under the push: by mid-lines its annotation counts twice."""
+    """T8 ends the largest curve at rest and begins that under the push: by mid-lines its annotation counts twice.
+
+    Tracking turns each vertebra as one body.
+    """
     rest = corners([0.0, 6.0, 12.0, 4.0, -4.0, -12.0, -8.0, -4.0, 0.0, 2.0])
     pushed = corners([0.0, 2.0, 4.0, 0.0, -4.0, -8.0, -2.0, 4.0, 9.0, 6.0])
     change = change_between(VIEW, rest, pushed, "midline")
     assert signed_levels(change) == "T5–T8 to T8–T11"
     random, found = np.random.default_rng(7), []
-    tracking = float(tracked_noise(rest.quality)[0, 0]) * VIEW.magnification
+    turn = TRACKED_TURN * float(tracked_noise(rest.quality)[0, 0]) * VIEW.magnification / 40.0
     for _ in range(DRAWS):
         mark = random.normal(0.0, 0.02 * 40.0, rest.corners.shape)
-        drawn = [one.corners + mark + random.normal(0.0, tracking, mark.shape) for one in (rest, pushed)]
+        drawn = [turned(one.corners + mark, random.normal(0.0, turn, len(NAMES))) for one in (rest, pushed)]
         before, after = (tilts(NAMES, each, VIEW, "midline") for each in drawn)
         found.append(after.cobb_degrees("T8", "T11") - before.cobb_degrees("T5", "T8"))
     assert np.std(found) == pytest.approx(change.sds[0], rel=0.06)

@@ -77,6 +77,13 @@ def test_the_report_s_predictions_have_the_same_change(finished):
             assert change.levels == records["measured"].levels
 
 
+def test_a_given_noise_is_in_angles_and_in_changes(finished):
+    """Of the frame under most force, whose largest angle is of other corners than that of the frame without."""
+    usual, noisy = (cobb_frames(read_subject(finished.folder), noise_px=noise)[4] for noise in (None, 8.0))
+    assert noisy.reading.largest.sd_deg > 2.0 * usual.reading.largest.sd_deg
+    assert noisy.change.sds[0] >= usual.change.sds[0] and max(noisy.change.sds) > max(usual.change.sds)
+
+
 def test_json_of_a_frame_names_its_levels(finished):
     frames = cobb_frames(read_subject(finished.folder))
     assert frames[0].as_dict()["change_deg"] is None

@@ -163,6 +163,20 @@ def test_annotating_a_second_frame_widens_what_the_first_alone_told():
     assert twice.n_per_degree.low < once.n_per_degree.low < once.n_per_degree.high < twice.n_per_degree.high
 
 
+def test_the_annotation_s_error_is_that_of_the_picture_s_median_width():
+    """Two broad end vertebrae are no reason for a larger error of their corners."""
+    frames = frames_of([25.0 * CURVE + 0.2 * force * BENDING for force in STEPS])
+    broad = np.ones((17, 1, 1))
+    broad[[VERTEBRAE.index(level) for level in ("T4", "L2")]] = 2.0
+    wide = []
+    for frame in frames:
+        middles = frame.points.mean(axis=1, keepdims=True)
+        wide.append(replace(frame, points=middles + broad * (frame.points - middles)))
+    usual, widened = (push_response(each, rest_of(25.0)).flexibility for each in (frames, wide))
+    # Twice as broad, with the same error of a corner: the angle at rest is known twice as well.
+    assert widened.high - widened.low < 0.7 * (usual.high - usual.low)
+
+
 def test_frames_off_a_line_widen_the_interval():
     angles = [25.0 * CURVE + bent * BENDING for bent in (0.0, 4.0, 8.0, 12.0)]
     bent = [*angles[:2], angles[1], angles[3]]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from spinestiff.arrays import Floats
-from spinestiff.curves.cobb import DEFINITIONS, Definition, tilt_sds, usual_noise
+from spinestiff.curves.cobb import DEFINITIONS, Definition, tilt_sds, tracked_tilt_sds, usual_noise
 from spinestiff.curves.tilts import CobbChange, cobb_change, tilts_from_points
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
@@ -34,16 +34,18 @@ def change_between(
     pushed: VertebraCorners,
     definition: Definition = "endplate",
     same_origin: bool = True,
+    noise: float | None = None,
 ) -> CobbChange | None:
     """The measured change of the Cobb angle between two pictures of one view, with its standard deviations.
 
-    Each corner errs as its quality says, in each picture anew, and by the annotation (2 % of the vertebrae's width in
-    each coordinate). What both pictures share of that drops out where an endplate counts in both.
+    Each corner errs as its quality says, in each picture anew, and by the annotation. What both pictures share of that drops out where an endplate counts in both.
 
     Parameters
     ----------
     rest, pushed : corners on the detector; the same ones do not change, nor err.
     same_origin : both were tracked from one annotated picture, or one from the other.
+    noise : standard deviation of an annotated corner's coordinates, mm at the patient plane; None = 2 % of the
+        vertebrae's median width.
 
     Returns
     -------
@@ -57,8 +59,8 @@ def change_between(
     points = [view.to_patient_plane(picture.corners) @ axes for picture in pictures]
     before, after = (tilts_from_points(common, found, DEFINITIONS[definition]) for found in points)
     change = cobb_change(before, after)
-    tracking = [tilt_sds(p, definition, tracked_noise(q.quality)) for p, q in zip(points, pictures)]
-    annotation = [tilt_sds(found, definition, usual_noise(found)) for found in points]
+    tracking = [tracked_tilt_sds(p, definition, tracked_noise(q.quality)) for p, q in zip(points, pictures)]
+    annotation = [tilt_sds(found, definition, usual_noise(found) if noise is None else noise) for found in points]
     ends = {
         "signed": ((change.rest.upper, change.rest.lower), (change.pushed.upper, change.pushed.lower)),
         "fixed_levels": (change.levels, change.levels),

@@ -36,6 +36,9 @@ NOISE_OF_WIDTH = 0.02
 """Default standard deviation of a corner's coordinate over the vertebrae's width: about 0.5 to 0.9 mm."""
 LEAST_NOISE_PX = 0.3
 """Of corners set on whole pixels, 1 / sqrt(12)."""
+TRACKED_TURN = 1.32
+"""By which a tracked vertebra's turn errs more than the error of its corners, each by itself, makes of its mid-line:
+they move as one body, whose turn errs by 1.62 (docs/tracking.md) over the root of its width's and height's squares."""
 DOUBTFUL_SD_DEG = 5.0
 STRAIGHT_SDS = 3.5
 """Largest of all pairs of a straight spine's seventeen vertebrae, in sds of one pair: 95 % lie below."""
@@ -261,7 +264,7 @@ def spine_curves(
     largest = (main.degrees, levels.index(main.upper), levels.index(main.lower))
     ends = [*reversed(_chain(spine, largest, upwards=True)), largest, *_chain(spine, largest, upwards=False)]
     noise = usual_noise(points) if noise is None else noise
-    sds = tilt_sds(points, definition, np.hypot(noise, tracking))
+    sds = np.hypot(tilt_sds(points, definition, noise), tracked_tilt_sds(points, definition, tracking))
     middles = points.mean(axis=1)
     curves = []
     for degrees, i, j in ends:
@@ -323,6 +326,14 @@ def tilt_sds(points: Floats, definition: Definition, noise: float | Floats) -> F
     plates = np.stack([points[:, 1] - points[:, 0], points[:, 2] - points[:, 3]])
     sds = np.stack([np.hypot(each[:, 0], each[:, 1]), np.hypot(each[:, 2], each[:, 3])])
     return np.asarray(sds / np.hypot(plates[..., 0], plates[..., 1]))
+
+
+def tracked_tilt_sds(points: Floats, definition: Definition, errors: float | Floats) -> Floats:
+    """``tilt_sds`` of what tracking adds: a vertebra's four corners are taken along together, so that the mid-line errs
+    by more than four errors by themselves make of it (``TRACKED_TURN``). Of an endplate two make more than that turn.
+    """
+    sds = tilt_sds(points, definition, errors)
+    return TRACKED_TURN * sds if definition == "midline" else sds
 
 
 def _apex(levels: tuple[str, ...], middles: Floats) -> float:

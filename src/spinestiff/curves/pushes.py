@@ -59,7 +59,7 @@ def cobb_frames(
     Parameters
     ----------
     definition : "endplate" or "midline".
-    noise_px : standard deviation of each corner's coordinates; None = 2 % of the vertebrae's width.
+    noise_px : standard deviation of each annotated corner's coordinates; None = 2 % of the vertebrae's median width.
 
     Raises
     ------
@@ -70,12 +70,13 @@ def cobb_frames(
         return frames
     for push, found in read_outcome(subject, Tracked).pushes.items():
         forces, view = frame_forces(subject.push(push), found), found.view.view()
+        noise = None if noise_px is None else _noise_mm(noise_px, view) / view.magnification
         usable = [usable_corners(found.corners(i)) for i in range(len(found.frames))]
         shown = [index for index, corners in enumerate(usable) if len(corners) > 1]
         least = min(shown, key=lambda index: forces[index], default=0)
         for index, force in enumerate(forces):
             alike = annotated_frame(found, least) == annotated_frame(found, index)
-            change = change_between(view, usable[least], usable[index], definition, alike)
+            change = change_between(view, usable[least], usable[index], definition, alike, noise)
             name = f"{push} frame {index}, {force:.0f} N"
             try:
                 reading = reading_of(name, usable[index], view, definition, noise_px)
@@ -159,7 +160,12 @@ def reading_of(
 ) -> CobbReading:
     """The Cobb angles of corners on the detector of a frontal view; tracked ones err as their quality says, too."""
     left, up = picture_axes(view)
-    noise = None if noise_px is None else noise_px * float(view.pixel_spacing.mean())
+    noise = None if noise_px is None else _noise_mm(noise_px, view)
     tracking = np.where(corners.quality < 1.0, view.magnification * tracked_noise(corners.quality), 0.0)
     points = corners.corners @ np.stack([left, up], axis=1)
     return read_cobb_of_view(image, corners.vertebrae, points, definition, noise, tracking)
+
+
+def _noise_mm(noise_px: float, view: XRayView) -> float:
+    """On the detector."""
+    return noise_px * float(view.pixel_spacing.mean())

@@ -156,7 +156,7 @@ def _followed(frames: Sequence[FrameCorners], levels: tuple[str, str]) -> _Follo
     for frame in seen:
         points, errors = frame.of(levels)
         angle.append(frame.tilts(levels).cobb_degrees(*levels))
-        annotation.append(_pair_sd(points, usual_noise(points)))
+        annotation.append(_pair_sd(points, usual_noise(frame.of(frame.whole)[0])))
         # A predicted error is a distance in the plane, a noise that of one coordinate.
         tracking.append(_pair_sd(points, errors / np.sqrt(2.0)))
     return _Followed(levels, seen, np.array(angle), np.array(annotation), np.array(tracking))

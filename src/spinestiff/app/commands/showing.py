@@ -39,7 +39,7 @@ def cobb(
         float | None,
         typer.Option(
             callback=within("pixels", noise_limits, above=True),
-            help="Corner noise (sd), pixels; 2 % of the vertebrae's width if left out.",
+            help="Corner noise (sd), pixels; 2 % of the vertebrae's median width if left out.",
         ),
     ] = None,
     patient_left: Annotated[
