@@ -38,7 +38,8 @@ def change_between(
 ) -> CobbChange | None:
     """The measured change of the Cobb angle between two pictures of one view, with its standard deviations.
 
-    Each corner errs as its quality says, in each picture anew, and by the annotation. What both pictures share of that drops out where an endplate counts in both.
+    Each corner errs as its quality says, in each picture anew, and by the annotation. What both pictures share of that
+    drops out where an endplate counts in both.
 
     Parameters
     ----------
