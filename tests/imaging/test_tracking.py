@@ -19,7 +19,7 @@ from spinestiff.imaging.tracking import SUPPORT_LIMIT_MM, support_motion, track
 from spinestiff.imaging.tracking.following import credits
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.quality import FOUND, error_of, quality_of
-from spinestiff.imaging.tracking.supports import FLESH_MM
+from spinestiff.imaging.tracking.supports import FLESH_MM, _middle, _turn
 
 SHAPE = (620, 360)
 VIEW = frontal_view(shape=SHAPE, pixel=0.7)
@@ -437,6 +437,40 @@ def test_a_single_point_shows_no_turn():
     assert "obliquity" not in one.notes()[2]
     (twice,) = support_motion(frames, {"pelvis": PELVIS[[0, 0]]})
     assert not twice.turn_seen.any()
+
+
+def test_a_turn_is_no_motion_where_a_point_is_lost():
+    """Points at a triangle's corners, turned about their middle; the last is lost in the last frame."""
+    start = np.array([[-60.0, 0.0], [60.0, 0.0], [0.0, 45.0]])
+    angle = 0.1
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    about = start - start.mean(axis=0)
+    shifts = np.stack([np.zeros((3, 2)), about @ turn.T - about, about @ turn.T - about]) + [
+        [[0.0, 0.0]],
+        [[2.0, 1.0]],
+        [[2.0, 1.0]],
+    ]
+    sds = np.full((3, 3), 0.3)
+    sds[2, 2] = np.inf
+    seen = [_turn(start, moved, sd) for moved, sd in zip(shifts, sds)]
+    mean, error = _middle(start, shifts, sds, *np.array(seen).T)
+    np.testing.assert_allclose(mean, [[0.0, 0.0], [2.0, 1.0], [2.0, 1.0]], atol=1e-9)
+    assert error[0] == error[1] == pytest.approx(0.3 / np.sqrt(3.0))
+    # The middle of the other two lies 15 mm away, their turn is known to that of 0.3 mm over 120.
+    assert error[2] == pytest.approx(np.hypot(0.3 / np.sqrt(2.0), 15.0 * np.sqrt(2.0) * 0.3 / 120.0))
+
+
+def test_a_single_point_that_is_left_of_two_allows_for_a_turn():
+    frames = supported(np.zeros((2, 2)), turns=(0.0, 0.05))
+    lost = np.array(frames[1].pixels)
+    row, column = (int(PELVIS[1][1]), int(PELVIS[1][0]))
+    lost[row - 45 : row + 45, column - 45 : column + 45] = 50.0
+    (pelvis,) = support_motion([frames[0], radiograph(lost)], {"pelvis": PELVIS})
+    assert pelvis.seen[1] and not pelvis.turn_seen[1]
+    away = 0.5 * np.linalg.norm(PELVIS[1] - PELVIS[0]) * PLANE_MM
+    # A turn of 0.05, twice what is allowed for as a standard deviation.
+    assert pelvis.distance[1] == pytest.approx(0.05 * away, abs=3.0 * FLESH_MM["pelvis"])
+    assert pelvis.distance[1] < 2.5 * pelvis.error[1]
 
 
 def test_a_support_that_is_not_visible_says_nothing():

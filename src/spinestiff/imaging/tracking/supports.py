@@ -29,6 +29,8 @@ OBLIQUITY_LIMIT_DEG = 3.0
 """The same of a pelvis that turned."""
 DEPTH_OF_SLIDE = 0.4
 """Motion in depth of a shoulder for each mm that it slides along its wall: 0.3 to 0.4 in the template under a push."""
+UNSEEN_TURN = float(np.radians(0.5 * OBLIQUITY_LIMIT_DEG))
+"""Standard deviation of a turn that no two points show, rad; the limit counts as two."""
 SUPPORT_RADIUS_MM = 15.0
 FLESH_MM = {"pelvis": 0.6, "shoulder": 0.14}
 """Standard error of a point along an axis, besides what tracking predicts: skin and bowel take its picture along
@@ -46,8 +48,8 @@ class SupportMotion:
     Attributes
     ----------
     name : "pelvis" or "shoulder".
-    displacement : (F, 2) mm at the patient plane, to the patient's left (+x) and up (+y), mean over the support's
-        points: a pelvis that turns about their middle does not count as moved.
+    displacement : (F, 2) mm at the patient plane, to the patient's left (+x) and up (+y), of the middle of the
+        support's points: a pelvis that turns about it does not count as moved, whether all are seen or not.
     error : (F,) mm, standard error of the displacement along an axis; of a shoulder with what its slide along the wall
         adds, since with it goes a motion in depth, which seems sideways off the beam's axis.
     seen : (F,) bool; where it is False the displacement and its error mean nothing.
@@ -141,10 +143,11 @@ def support_motion(frames: Sequence[Radiograph], points: Mapping[str, Floats]) -
     for name, where in places.items():
         mine = owners == name
         spots = view.to_patient_plane(where)
-        mean, error = _mean(shifts[:, mine], sds[:, mine])
         turns = [_turn(spots @ to_world, moved, sd) for moved, sd in zip(shifts[:, mine], sds[:, mine])]
         turn, turn_error = np.array([each or (0.0, 0.0) for each in turns]).T
         turn_seen = np.array([each is not None for each in turns])
+        allowed = np.where(turn_seen, turn_error, UNSEEN_TURN)
+        mean, error = _middle(spots @ to_world, shifts[:, mine], sds[:, mine], turn, allowed)
         seen = np.isfinite(sds[:, mine]).any(axis=1)
         away = float(np.abs(spots[:, 0]).max()) / view.source_to_patient
         if name == "shoulder":
@@ -169,15 +172,20 @@ def _under_the_skin(body: Body, pictures: Pictures) -> Body:
     return replace(body, points=body.points[kept], parts=body.parts[kept])
 
 
-def _mean(shifts: Floats, sds: Floats) -> tuple[Floats, Floats]:
-    """Mean shift (F, 2) of points (F, n, 2) and its standard error along an axis (F,).
+def _middle(start: Floats, shifts: Floats, sds: Floats, turn: Floats, turn_error: Floats) -> tuple[Floats, Floats]:
+    """Shift (F, 2) of the middle of points (n, 2) that moved by (F, n, 2), and its standard error along an axis (F,).
 
-    Each point counts alike, as long as it is found: a turn about their middle then is no motion.
+    Each point that is found counts alike: a turn about their middle then is no motion. Where some are lost, the others'
+    middle lies elsewhere, and what the turn (F,), with its error, moves it by is no motion either.
     """
     found = np.isfinite(sds)
     count = np.maximum(found.sum(axis=1), 1)
     mean = np.where(found[..., None], shifts, 0.0).sum(axis=1) / count[:, None]
-    return mean, np.linalg.norm(np.where(found, sds, 0.0), axis=1) / count
+    away = found @ start / count[:, None] - start.mean(axis=0)
+    cos, sin = np.cos(turn) - 1.0, np.sin(turn)
+    turned = np.stack([cos * away[:, 0] - sin * away[:, 1], sin * away[:, 0] + cos * away[:, 1]], axis=1)
+    error = np.linalg.norm(np.where(found, sds, 0.0), axis=1) / count
+    return mean - turned, np.hypot(error, turn_error * np.linalg.norm(away, axis=1))
 
 
 def _turn(start: Floats, shifts: Floats, sds: Floats) -> tuple[float, float] | None:
