@@ -212,6 +212,10 @@ def test_a_folder_is_read_in_the_order_of_its_frames(folder, record) -> None:
         ({"colour": 1}, "colour: unknown key; check its spelling against docs/bench-phantom.md"),
         ({"levels": ["T12", "L1", "L2"]}, "joints of 6 blocks; wanted one below each of T12, L1, L2"),
         ({"levels": ["T12", "L1", "L2", "L3", "L4", "L4"]}, "levels: 'L4' is given twice"),
+        (
+            {"levels": ["L5", "L4", "L3", "L2", "L1", "T12"]},
+            "levels: L5 is above L4; wanted the blocks from top to bottom",
+        ),
         ({"frames": [{"image": "rest", "force_n": 0.0}] * 2}, "frames: 'rest' is given twice"),
         (
             {"frames": [{"image": "a", "force_n": 0.0}, {"image": "b", "force_n": 3.0}]},

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.subject.record_reading import Record
 from spinestiff.subject.records import GAUGE_LIMIT_N, VertebraName
 
@@ -109,7 +111,7 @@ class PhantomRecord(Record):
 
     Attributes
     ----------
-    levels : blocks, top to bottom.
+    levels : blocks, top to bottom, named in the order of a spine's vertebrae.
     block_mm : width, height, depth. gap_mm : free length of the leaf springs.
     marks_mm : between a block's marks, side to side and along. marks_front_mm : before the column's middle.
     joints : one below each block, in any order.
@@ -143,6 +145,11 @@ class PhantomRecord(Record):
             twice = [name for name in names if names.count(name) > 1]
             if twice:
                 raise ValueError(f"{what}: '{twice[0]}' is given twice; keep one")
+        for upper, lower in itertools.pairwise(self.levels):
+            if VERTEBRAE.index(upper) > VERTEBRAE.index(lower):
+                raise ValueError(
+                    f"levels: {upper} is above {lower}; wanted the blocks from top to bottom, named as a spine's are"
+                )
         lacking = [level for level in self.levels if level not in {joint.block for joint in self.joints}]
         if lacking or len(self.joints) != len(self.levels):
             raise ValueError(f"joints of {len(self.joints)} blocks; wanted one below each of {', '.join(self.levels)}")
