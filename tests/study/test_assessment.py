@@ -176,6 +176,20 @@ def test_extrapolation_from_another_push_goes_by_the_patients_left(torso):
     assert features == pytest.approx(seen, abs=1e-9)
 
 
+def test_a_training_frame_that_motions_are_measured_from_shows_none(torso, rest):
+    """The only training frame of the push has its least force: another push of the side is taken."""
+    main, other = {"forces_n": (20.0, 30.0), "roles": ("training", "validation")}, {"forces_n": (0.0, 10.0)}
+    other["roles"] = ("unused", "training")
+    tracked, records = {}, []
+    for name, fields in (("main", main), ("other", other)):
+        records.append(PushRecord(id=name, side="right", level=8.0, frames=f"{name}.dcm", **fields))
+        tracked[name] = tracked_push(frontal_view(), fields["forces_n"], [rest, shifted(rest, 1.0)])
+    found = push_set(torso, records, tracked)
+    (item,) = found.of_role("validation")
+    _, features = extrapolated(found, item)
+    assert features == pytest.approx(np.stack(list(assessment._measured(found, item).values())), abs=1e-9)
+
+
 def test_without_a_common_vertebra_nothing_is_extrapolated(torso, rest):
     upper, lower = rest.selected(rest.vertebrae[:7]), rest.selected(rest.vertebrae[7:])
     found = make_set(torso, [rest, shifted(upper, 1.0), shifted(upper, 3.0), shifted(lower, 4.0)])

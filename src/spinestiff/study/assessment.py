@@ -131,8 +131,8 @@ def extrapolated(pushes: PushSet, item: PushTrial) -> tuple[tuple[str, ...], Flo
 
 
 def _alike(pushes: PushSet, item: PushTrial) -> Sequence[PushTrial]:
-    """The training frames under force that are most like a frame: of its push, of its side, or all."""
-    training = pushes.training
+    """The training frames that show a motion and are most like a frame: of its push, of its side, or all."""
+    training = [other for other in pushes.training if other.frame != pushes.reference(other.push).frame]
     same_push = [other for other in training if other.push == item.push]
     same_side = [other for other in training if _side(other) == _side(item)]
     return same_push or same_side or training
