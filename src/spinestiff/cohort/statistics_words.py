@@ -58,9 +58,10 @@ def statistics_sections(found: Sequence[StiffnessStatistics], members: Sequence[
 
 _POWER = (
     "Patients that show a difference in stiffness by a factor with a power of 80 % at a level of 5 % (two-sided t-test "
-    "of logs in which a person counts the less the wider the own interval is, as in the effects; one that counts all "
-    "alike takes more): in each of two groups of different people, and of one group visited before and after something "
-    "changed everybody's stiffness by that factor. In parentheses, by the 95 % interval of the spread between people."
+    "of logs): in each of two groups of different people, where a person counts the less the wider the own interval "
+    "is, as in the effects (a test that counts all alike takes more), and of one group visited before and after "
+    "something changed everybody's stiffness by that factor, where all count alike. In parentheses, by the 95 % "
+    "interval of the spread between people."
 )
 
 
