@@ -25,7 +25,10 @@ def title_of(found: StiffnessStatistics) -> str:
 def statistics_lines(found: Sequence[StiffnessStatistics]) -> list[str]:
     """What there is to say, a line a stiffness and a line for each effect that shows."""
     if not found:
-        wanted = "of different id, whose stiffness has a closed interval and no population as a prior"
+        wanted = (
+            "of different id, up to date and not doubtful, whose stiffness has a closed interval and no population as "
+            "a prior"
+        )
         return [f"no statistics: they take {FEWEST} participants or more {wanted}"]
     lines = []
     for one in found:
