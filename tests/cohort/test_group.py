@@ -172,3 +172,10 @@ def test_a_row_of_the_paper_s_estimate_is_determined_to_no_degree(monkeypatch):
     record = SimpleNamespace(id="a", age=12.0, sex="female", height_cm=150.0, mass_kg=None, pushes=(push,))
     row = subject_run.row_of(SimpleNamespace(subject=SimpleNamespace(record=record)), "sub-01")
     assert (row.determined, row.stiffness["tissue"].sd_log) == ("no intervals", None)
+
+
+def test_a_row_of_a_ratio_that_nothing_shows_knows_no_scatter_from_visit_to_visit():
+    """As of joints that a torso does not have: 0 to first order, which is no scatter."""
+    ratio = RatioEstimate.of(1.0, (0.0025, 5.0), (True, True), False)
+    estimate = Estimate.model_construct(ratios={"rib_vertebra": ratio}, visit_sd_log={"rib_vertebra": 0.0})
+    assert subject_run._stiffness(ratio, "", estimate, "rib_vertebra").visit_sd_log is None

@@ -183,6 +183,23 @@ def test_patients_of_two_groups_are_counted_for_a_test_that_weighs_them():
     assert "counts the less the wider the own interval is" in statistics_sections((found,), members)[1].sentences[0]
 
 
+def test_visits_of_one_group_are_counted_for_a_test_that_counts_all_alike():
+    """As the page says: where a few scatter more from visit to visit, a plain test of the differences has the power."""
+    members = []
+    for number, member in enumerate(people(30)):
+        tissue = member.row.stiffness["tissue"].model_copy(update={"visit_sd_log": 0.6 if number % 3 == 0 else 0.05})
+        changes = {"stiffness": {"tissue": tissue}}
+        members.append(Member(member.participant, "done", "", member.row.model_copy(update=changes)))
+    (found,) = cohort_statistics(members, 1.25)
+    count, rng = found.needed[0].visited_twice, np.random.default_rng(3)
+    sds = np.sqrt(2.0) * np.where(rng.random((4000, count)) < 1.0 / 3.0, 0.6, 0.05)
+    changes = np.log(1.25) + sds * rng.normal(size=sds.shape)
+    statistic = np.sqrt(count) * changes.mean(axis=1) / changes.std(axis=1, ddof=1)
+    assert np.mean(np.abs(statistic) > t.ppf(0.975, count - 1)) == pytest.approx(0.8, abs=0.04)
+    words = statistics_sections((found,), members)[1].sentences[0]
+    assert "where all count alike" in words.partition("of one group visited")[2]
+
+
 def test_holm_by_hand():
     effects = [Effect(name, 1.0, 0.5, 2.0, p, 1.0) for name, p in (("a", 0.03), ("b", 0.01), ("c", 0.02), ("d", 0.9))]
     assert [one.p_adjusted for one in _holm(effects)] == pytest.approx([0.06, 0.04, 0.06, 0.9])

@@ -65,6 +65,13 @@ def test_who_is_left_out_is_told_of_each_stiffness():
     assert tissue.endswith(": 1 with koutras2025 as a prior.")
 
 
+def test_why_there_are_no_statistics_names_all_that_leaves_people_out():
+    members = people([-1.0, 0.0, 0.3, 0.1, 1.0, 0.6], 0.1, status="DOUBTFUL")
+    (line,) = statistics_lines(cohort_statistics(members))
+    assert line.startswith("no statistics: they take 5 participants or more")
+    assert "up to date and not doubtful" in line
+
+
 def test_why_effects_are_not_told_together():
     logs = [0.3 * (number % 7) for number in range(15)]
     alike = {"sex": "female", "cobb_deg": 20.0}

@@ -38,6 +38,12 @@ def test_ends_beyond_the_bounds_are_open(found, covariance):
     assert (linear.draws[0] >= near[0]).all()
 
 
+def test_an_estimate_at_the_bound_is_told_as_one(found):
+    """As of profiles."""
+    best = found.point.log_ratios
+    assert linear_ratios(found, (), (float(best[0]), float(best.max() + 10.0))).kinds[0] == "at a bound"
+
+
 def test_draws_spread_as_ratios_and_nuisances_do(column, found, covariance):
     ratios, nuisances = linear_ratios(found, (), column.limits).draws
     assert np.cov(ratios.T) == pytest.approx(WIDTH_FACTOR**2 * covariance, rel=0.2)

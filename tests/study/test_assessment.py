@@ -154,6 +154,42 @@ def test_extrapolation_knows_the_side_that_is_pushed(torso, rest):
     assert other == pytest.approx({"right": 2.0, "low": -1.0}, abs=1e-9)
 
 
+def test_extrapolation_from_another_push_goes_by_the_patients_left(torso):
+    """The other push's pictures are mirrored, so that its columns grow to the patient's right."""
+    tracked, records = {}, []
+    for name, columns, roles in (("low", -LEFT, ("unused", "validation")), ("main", LEFT, ("unused", "training"))):
+        view = placed_view(
+            columns, -UP, -FRONT, sid=1500.0, source_to_patient=1340.0, shape=(64, 64), pixel=5.0, centre=(0, 200, 0)
+        )
+        shares = silhouette_shares(torso, view, torso.rest_pose)
+        at_rest = VertebraCorners(torso.vertebrae, state_features(torso, view, torso.rest_pose, shares).corners)
+        moved = at_rest.corners + [columns[0] * view.magnification, 0.0]
+        frames = [at_rest, VertebraCorners(torso.vertebrae, moved)]
+        tracked[name] = tracked_push(view, (0.0, 10.0), frames)
+        records.append(
+            PushRecord(id=name, side="right", level=8.0, frames=f"{name}.dcm", forces_n=(0.0, 10.0), roles=roles)
+        )
+    found = push_set(torso, records, tracked)
+    (item,) = found.of_role("validation")
+    _, features = extrapolated(found, item)
+    seen = np.stack(list(assessment._measured(found, item).values()))
+    assert features == pytest.approx(seen, abs=1e-9)
+
+
+def test_a_training_frame_that_motions_are_measured_from_shows_none(torso, rest):
+    """The only training frame of the push has its least force: another push of the side is taken."""
+    main, other = {"forces_n": (20.0, 30.0), "roles": ("training", "validation")}, {"forces_n": (0.0, 10.0)}
+    other["roles"] = ("unused", "training")
+    tracked, records = {}, []
+    for name, fields in (("main", main), ("other", other)):
+        records.append(PushRecord(id=name, side="right", level=8.0, frames=f"{name}.dcm", **fields))
+        tracked[name] = tracked_push(frontal_view(), fields["forces_n"], [rest, shifted(rest, 1.0)])
+    found = push_set(torso, records, tracked)
+    (item,) = found.of_role("validation")
+    _, features = extrapolated(found, item)
+    assert features == pytest.approx(np.stack(list(assessment._measured(found, item).values())), abs=1e-9)
+
+
 def test_without_a_common_vertebra_nothing_is_extrapolated(torso, rest):
     upper, lower = rest.selected(rest.vertebrae[:7]), rest.selected(rest.vertebrae[7:])
     found = make_set(torso, [rest, shifted(upper, 1.0), shifted(upper, 3.0), shifted(lower, 4.0)])

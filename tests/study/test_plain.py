@@ -104,3 +104,15 @@ def test_of_several_ratios_the_interval_is_to_first_order(torso):
     assert beside["lateral_bending_lumbar"] == lumbar
     unknown = plain_stiffness(torso, ratios, estimates, np.full((2, 2), np.inf))["lateral_bending_lumbar"]
     assert (unknown.low, unknown.high) == (None, None)
+
+
+def test_parts_that_overlap_do_not_stand_for_the_levels_that_none_of_them_has(torso):
+    """Two ratios scale T2-T8 both, and none T9 to T12, which stay at their default."""
+    names = ("lateral_bending@T1-T8", "lateral_bending@T2-T9")
+    estimates = {name: estimate(2.0, 1.5, 3.0) for name in names}
+    ratios = torso_ratios(torso, {name: found.value for name, found in estimates.items()})
+    found = plain_stiffness(torso, ratios, estimates, np.diag([0.04, 0.04]))["lateral_bending_thoracic"]
+    assert (found.ratio, found.low, found.high) == (None, None, None)
+    more = {**estimates, "lateral_bending@T9-T12": estimate(2.0, 1.5, 3.0)}
+    ratios = torso_ratios(torso, {name: found.value for name, found in more.items()})
+    assert plain_stiffness(torso, ratios, more, 0.04 * np.eye(3))["lateral_bending_thoracic"].low is not None

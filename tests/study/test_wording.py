@@ -99,6 +99,7 @@ def test_a_number_that_is_rounded_up_to_a_power_of_ten_has_no_digit_more(value, 
             "not fixed by the radiographs: anything that the fit allows, 0.3 to 50 kPa",
         ),
         (quantity(3.8, None, None), "3.8", "3.8 kPa, no intervals"),
+        (quantity(1.124, 1.096, 1.148), "1.12", "1.12 kPa, between 1.10 and 1.15 kPa (95 %)"),
     ],
 )  # fmt: skip
 def test_a_span_in_words(found, short, words):
@@ -174,6 +175,8 @@ def test_fixed(value, text):
         (quantity(0.12, 0.0612, None), f"0.061 to {MISSING}"),
         (quantity(0.12, None, None), MISSING),
         (quantity(30.0, 26.64, 35.61), "27 to 36"),
+        # As the value, where two digits would make one number of both ends.
+        (quantity(1.124, 1.096, 1.148), "1.10 to 1.15"),
     ],
 )
 def test_interval(of, text):

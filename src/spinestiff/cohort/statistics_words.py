@@ -25,7 +25,10 @@ def title_of(found: StiffnessStatistics) -> str:
 def statistics_lines(found: Sequence[StiffnessStatistics]) -> list[str]:
     """What there is to say, a line a stiffness and a line for each effect that shows."""
     if not found:
-        wanted = "of different id, whose stiffness has a closed interval and no population as a prior"
+        wanted = (
+            "of different id, up to date and not doubtful, whose stiffness has a closed interval and no population as "
+            "a prior"
+        )
         return [f"no statistics: they take {FEWEST} participants or more {wanted}"]
     lines = []
     for one in found:
@@ -58,9 +61,10 @@ def statistics_sections(found: Sequence[StiffnessStatistics], members: Sequence[
 
 _POWER = (
     "Patients that show a difference in stiffness by a factor with a power of 80 % at a level of 5 % (two-sided t-test "
-    "of logs in which a person counts the less the wider the own interval is, as in the effects; one that counts all "
-    "alike takes more): in each of two groups of different people, and of one group visited before and after something "
-    "changed everybody's stiffness by that factor. In parentheses, by the 95 % interval of the spread between people."
+    "of logs): in each of two groups of different people, where a person counts the less the wider the own interval "
+    "is, as in the effects (a test that counts all alike takes more), and of one group visited before and after "
+    "something changed everybody's stiffness by that factor, where all count alike. In parentheses, by the 95 % "
+    "interval of the spread between people."
 )
 
 

@@ -114,7 +114,8 @@ def _stiffness(found: Quantity, unit: str, estimate: Estimate, ratio: str | None
         open_low=found.open_low,
         open_high=found.open_high,
         sd_log=sd if isfinite(sd) and sd > 0.0 and not at_bound else None,
-        visit_sd_log=estimate.visit_sd_log.get(ratio) if ratio is not None else None,
+        # 0 of a ratio that the radiographs say nothing of: it stays at its start at each visit.
+        visit_sd_log=(estimate.visit_sd_log.get(ratio) or None) if ratio is not None else None,
     )
 
 

@@ -30,6 +30,8 @@ LEAST_PRECISION = 1e-6
 class BudgetRow:
     """What one unknown does to the standard deviations (P,) of the log ratios, to first order at the estimate.
 
+    Where the patient stood for a sequence is unknown throughout: no measurement but the pictures tells it.
+
     Attributes
     ----------
     alone : with this unknown and tracking's errors only.
@@ -43,7 +45,7 @@ class BudgetRow:
 
 @dataclass(frozen=True)
 class Budget:
-    """All rows, with the standard deviations (P,) of everything together, and of tracking alone."""
+    """All rows, with the standard deviations (P,) of everything together, and of tracking (and stance) alone."""
 
     rows: tuple[BudgetRow, ...]
     together: tuple[float, ...]

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from spinestiff.arrays import Floats
 from spinestiff.estimation.emulator import Emulator, Place
-from spinestiff.estimation.profiles import CONFIDENCE, DRAWS, WIDTH_FACTOR, Likely
+from spinestiff.estimation.profiles import CONFIDENCE, DRAWS, WIDTH_FACTOR, Likely, interval_kind
 from spinestiff.estimation.weighed import WeighedFit, reduced
 
 # Up to so many ratios have profiles.
@@ -74,8 +74,7 @@ def linear_ratios(fit: WeighedFit, visited: Sequence[Place], limits: tuple[float
     low, high = best - reach, best + reach
     open_low, open_high = low <= limits[0], high >= limits[1]
     kinds = tuple(
-        "flat" if below and above else "one-sided" if below or above else "bounded"
-        for below, above in zip(open_low.tolist(), open_high.tolist())
+        interval_kind(*one, limits) for one in zip(best.tolist(), open_low.tolist(), open_high.tolist(), strict=True)
     )
     return Likely(
         np.clip(low, *limits),

@@ -386,6 +386,15 @@ class _Tracer:
         return place, float(found.fun) - self._least
 
 
+def interval_kind(best: float, open_low: bool, open_high: bool, limits: tuple[float, float]) -> str:
+    """The word for an estimate (log) with an interval whose ends are the fit's bounds or not (``Likely.kinds``)."""
+    if open_low and open_high:
+        return "flat"
+    if min(best - limits[0], limits[1] - best) < 1e-6:
+        return "at a bound"
+    return "one-sided" if open_low or open_high else "bounded"
+
+
 def profile_kind(
     profile: Profile, best: float, open_low: bool, open_high: bool, limits: tuple[float, float], rise: float
 ) -> str:
@@ -396,12 +405,9 @@ def profile_kind(
     best : the estimate, log. open_low, open_high : the interval's end is the fit's bound.
     limits : the fit's bounds, log. rise : of phi at an interval's end.
     """
-    if profile.rise.max() < FLAT or (open_low and open_high):
-        return "flat"
-    if min(best - limits[0], limits[1] - best) < 1e-6:
-        return "at a bound"
-    if open_low or open_high:
-        return "one-sided"
+    kind = "flat" if profile.rise.max() < FLAT else interval_kind(best, open_low, open_high, limits)
+    if kind != "bounded":
+        return kind
     ends = np.flatnonzero(profile.rise <= rise)[[0, -1]]
     # With ridges that are higher than the interval's ends.
     inside = profile.rise[ends[0] : ends[1] + 1]

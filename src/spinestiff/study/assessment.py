@@ -12,7 +12,7 @@ from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fitted import Method
 from spinestiff.estimation.forecast import Forecast
-from spinestiff.imaging.features import rmse, target_features
+from spinestiff.imaging.features import picture_axes, rmse, target_features
 from spinestiff.study.forecasts import forecast_change, forecast_record
 from spinestiff.study.predictions import Model, Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial, fit_from_coarse
@@ -116,9 +116,9 @@ def extrapolated(pushes: PushSet, item: PushTrial) -> tuple[tuple[str, ...], Flo
     squares: dict[str, float] = {}
     for other in _alike(pushes, item):
         start, now = _measured(pushes, pushes.reference(other.push)), _measured(pushes, other)
-        force = _signed(other, pushes.reference(other.push))
+        force, axes = _signed(other, pushes.reference(other.push)), _axes(other)
         for name in now.keys() & start.keys():
-            numerator[name] = numerator.get(name, np.zeros((4, 2))) + force * (now[name] - start[name])
+            numerator[name] = numerator.get(name, np.zeros((4, 2))) + force * (now[name] - start[name]) @ axes
             squares[name] = squares.get(name, 0.0) + force**2
     reference = pushes.reference(item.push)
     if reference.frame == item.frame:
@@ -127,12 +127,12 @@ def extrapolated(pushes: PushSet, item: PushTrial) -> tuple[tuple[str, ...], Flo
     names = tuple(n for n in item.trial.corners.vertebrae if n in base and squares.get(n, 0.0) > 0.0)
     if not names:
         return None
-    return names, np.stack([base[n] + force * numerator[n] / squares[n] for n in names])
+    return names, np.stack([base[n] + force * numerator[n] / squares[n] @ _axes(item).T for n in names])
 
 
 def _alike(pushes: PushSet, item: PushTrial) -> Sequence[PushTrial]:
-    """The training frames under force that are most like a frame: of its push, of its side, or all."""
-    training = pushes.training
+    """The training frames that show a motion and are most like a frame: of its push, of its side, or all."""
+    training = [other for other in pushes.training if other.frame != pushes.reference(other.push).frame]
     same_push = [other for other in training if other.push == item.push]
     same_side = [other for other in training if _side(other) == _side(item)]
     return same_push or same_side or training
@@ -141,6 +141,11 @@ def _alike(pushes: PushSet, item: PushTrial) -> Sequence[PushTrial]:
 def _side(item: PushTrial) -> float:
     """Above 0 for a push from the right; 0 without a force."""
     return float(np.sign(item.trial.load.push.total[0]))
+
+
+def _axes(item: PushTrial) -> Floats:
+    """(2, 2) columns: the patient's left and up in the picture; two pushes' pictures may be mirrored or turned."""
+    return np.stack(picture_axes(item.trial.view), axis=1)
 
 
 def _signed(item: PushTrial, reference: PushTrial) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -41,14 +41,21 @@ def plain_stiffness(
         rows = kinds == kind
         total = float(joints[rows].sum())
         shares = {group.name: float(joints[rows & group.joints[:, 5]].sum()) / total for group in groups}
+        whole = _all_scaled([group.joints[rows, 5] for group in groups])
         value = float(joints[rows].mean())
-        found[f"lateral_bending_{kind}"] = _plain(value, "N m/rad", shares, estimates, spread)
+        found[f"lateral_bending_{kind}"] = _plain(value, "N m/rad", shares, whole, estimates, spread)
     mu, lam = ratios.scale_tissue(torso.tissue.lame_mu, torso.tissue.lame_lambda)
     weight = torso.tissue.corner_volumes() / torso.tissue.corner_volumes().sum()
     young = 1e3 * weight * mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
     shares = {group.name: _share(group, young) for group in groups}
-    found["tissue_young"] = _plain(float(young.sum()), "kPa", shares, estimates, spread)
+    whole = _all_scaled([group.elements_of(len(young)) for group in groups if group.mu and group.lambda_])
+    found["tissue_young"] = _plain(float(young.sum()), "kPa", shares, whole, estimates, spread)
     return found
+
+
+def _all_scaled(masks: Sequence[np.ndarray]) -> bool:
+    """Whether each part is in one of the masks (n,), which may overlap."""
+    return bool(masks) and bool(np.any(masks, axis=0).all())
 
 
 def _share(group: ParameterGroup, young: Floats) -> float:
@@ -62,16 +69,17 @@ def _plain(
     value: float,
     unit: str,
     shares: Mapping[str, float],
+    whole: bool,
     estimates: Mapping[str, RatioEstimate],
     covariance: Floats | None,
 ) -> PlainStiffness:
-    """``shares`` : ratio -> share of the value that it scales."""
+    """``shares`` : ratio -> share of the value that it scales. ``whole`` : together they scale all of it."""
     scaling = [name for name, share in shares.items() if share != 0.0]
     ends, ratio = Quantity(value=value, low=None, high=None), None
-    if len(scaling) == 1 and shares[scaling[0]] > 1.0 - 1e-9:
+    if whole and len(scaling) == 1:
         ratio = scaling[0]
         ends = estimates[ratio].scaled(value / estimates[ratio].value)
-    elif covariance is not None and sum(shares[name] for name in scaling) > 1.0 - 1e-9:
+    elif whole and covariance is not None:
         # Of those alone that scale it: what others may be is infinite where the data can't part them.
         weights = np.array(list(shares.values()))
         own = np.flatnonzero(weights)

@@ -58,7 +58,8 @@ def estimate_csv(estimate: Estimate) -> str:
     """A row a quantity: stiffness in plain units, then the ratios; ``unit`` of a ratio is empty.
 
     ``determined`` is "doubtful" throughout a doubtful estimate, "no intervals" by a method without, and empty for a
-    stiffness that was not estimated.
+    stiffness without an interval that no single ratio scales: it was not estimated as a whole, or its ratios can't be
+    told apart.
     """
     rows = []
     for name, found in estimate.plain.items():

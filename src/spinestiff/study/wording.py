@@ -64,11 +64,17 @@ def estimated(quantity: Quantity) -> str:
         return "≤ " + _bound(quantity.value)
     if quantity.open_high and quantity.high is not None and quantity.value >= quantity.high / AT_AN_END:
         return "≥ " + _bound(quantity.value)
-    return number(quantity.value, 3 if quantity.sd_log < SURE else 2)
+    return number(quantity.value, digits_of(quantity))
+
+
+def digits_of(quantity: Quantity) -> int:
+    """Significant ones of a value and of its interval's ends, which with fewer may read alike."""
+    return 3 if quantity.sd_log < SURE else 2
 
 
 def interval(quantity: Quantity) -> str:
     """A 95 % interval: "0.06 to 0.34"; an end at the fit's bound is open, "≤ 0.005 to 0.34"."""
+    digits = digits_of(quantity)
     if quantity.low is None and quantity.high is None:
         return MISSING
     first = (
@@ -76,14 +82,14 @@ def interval(quantity: Quantity) -> str:
         if quantity.low is None
         else "≤ " + _bound(quantity.low)
         if quantity.open_low
-        else number(quantity.low, 2)
+        else number(quantity.low, digits)
     )
     last = (
         MISSING
         if quantity.high is None
         else "≥ " + _bound(quantity.high)
         if quantity.open_high
-        else number(quantity.high, 2)
+        else number(quantity.high, digits)
     )
     return f"{first} to {last}"
 
@@ -107,7 +113,8 @@ def span_in_words(quantity: Quantity, unit: str, determined: Determination | Non
         return f"at most {number(high, 2)} {unit} (95 %), no lower end"
     if quantity.open_high:
         return f"at least {number(low, 2)} {unit} (95 %), no upper end"
-    ends = f"between {number(low, 2)} and {number(high, 2)} {unit} (95 %)"
+    digits = digits_of(quantity)
+    ends = f"between {number(low, digits)} and {number(high, digits)} {unit} (95 %)"
     determined = determined or quantity.determination
     if determined == "determined":
         return f"{value} {unit}, {ends}"

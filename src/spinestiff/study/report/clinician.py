@@ -20,6 +20,7 @@ from spinestiff.study.report.frame_content import comparison_content
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
     PLAIN,
+    digits_of,
     estimated,
     factor95,
     fixed,
@@ -159,7 +160,8 @@ def in_words(what: str, found: Quantity, unit: str, determined: Determination) -
     low, high, value = found.low, found.high, estimated(found)
     if low is None or high is None:
         return f"{value} {unit}, without an interval."
-    ends = f"between {number(low, 2)} and {number(high, 2)} {unit}"
+    digits = digits_of(found)
+    ends = f"between {number(low, digits)} and {number(high, digits)} {unit}"
     if found.open_low and found.open_high:
         return f"The radiographs do not fix {what}; anything that was allowed fits them, {ends}."
     if found.open_low:
