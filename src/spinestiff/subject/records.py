@@ -32,6 +32,7 @@ DISTANCES_MM = (30.0, 1000.0)
 LEVELS = (1.0, 12.0)
 """Ribs."""
 HEIGHTS_CM = (120.0, 200.0)
+HEAVIEST_KG = 300.0
 OLDEST = 120.0
 """Years; an age is above 0."""
 MARKER_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}"
@@ -387,7 +388,7 @@ class SubjectRecord(Record):
     age: Annotated[float, Field(gt=0.0, le=OLDEST)]
     sex: Literal["female", "male"]
     height_cm: Annotated[float, Field(ge=HEIGHTS_CM[0], le=HEIGHTS_CM[1])]
-    mass_kg: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
+    mass_kg: Annotated[float, Field(gt=0.0, le=HEAVIEST_KG)] | None = None
     xray: XRayRecord = XRayRecord()
     torso: str | None = None
     pushes: Annotated[tuple[PushRecord, ...], Field(strict=False)]
