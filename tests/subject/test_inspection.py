@@ -420,6 +420,17 @@ def test_a_lateral_link_to_nothing_is_not_taken_for_none(folder):
         read_subject(folder)
 
 
+def test_a_lateral_radiograph_that_is_marked_and_not_there_is_told(folder):
+    (folder / "rest/lateral.dcm").unlink()
+    reasons = {one.image: one.reason for one in inspect(folder)}
+    assert reasons["rest/lateral"].startswith("lateral.dcm: no such file")
+    with pytest.raises(SubjectError, match=r"lateral\.dcm: no such file"):
+        read_subject(folder)
+    rest = {name: image for name, image in ANNOTATION["images"].items() if name != "rest/lateral"}
+    write(folder, None, {**ANNOTATION, "images": rest})
+    assert "rest/lateral" not in {one.image for one in inspect(folder)}
+
+
 # The command
 
 

@@ -211,7 +211,8 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
     if gaps:
         found.append(Inspection(SUBJECT_FILE, missing=tuple(f"{gap.field}: {gap.words}" for gap in gaps)))
     for name, path in paths.items():
-        if name == LATERAL and not path.exists() and not path.is_symlink():
+        marked_lateral = annotation is not None and LATERAL in annotation.images
+        if name == LATERAL and not (marked_lateral or path.exists() or path.is_symlink()):
             continue
         try:
             geometry = image_geometry(record, annotation, marks.get(name, (name,))[0], kinds.get(name, "frontal"))
