@@ -432,6 +432,7 @@ class SubjectRecord(Record):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"pushes[{i}].id: '{self.pushes[i].id}' is used twice; give each push its own id")
+        self._refuse_same_files()
         scaled = (*REST_IMAGES, *(push.image for push in self.pushes))
         apart = (*REST_IMAGES, *(image for push in self.pushes for image in push.geometry_images))
         for key, given, known in (("scale", self.xray.scale, scaled), ("images", self.xray.images, apart)):
@@ -458,3 +459,22 @@ class SubjectRecord(Record):
                 "wall: found 'one-sided' beside pelvis 'dead-loads', which leave the wall out, wanted 'bilateral'"
             )
         return self
+
+    def _refuse_same_files(self) -> None:
+        """Raise ValueError where a file of what was seen under a push is named twice: it would count as two."""
+        named = [
+            one
+            for i, push in enumerate(self.pushes)
+            for one in (
+                (f"pushes[{i}].frames", push.frames),
+                *((f"pushes[{i}].views[{j}].files", view.files) for j, view in enumerate(push.views)),
+                *(() if push.markers is None else ((f"pushes[{i}].markers.file", push.markers.file),)),
+            )
+        ]
+        first: dict[PurePosixPath, str] = {}
+        for field, path in named:
+            if (other := first.setdefault(PurePosixPath(path), field)) != field:
+                raise ValueError(
+                    f"{field}: found {shown_value(path)}, which {other} has already; wanted each in one place, or it "
+                    "counts twice"
+                )
