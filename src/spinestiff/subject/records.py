@@ -5,6 +5,7 @@ What the folder holds beside it and annotation.json is read by ``folder``.
 
 from __future__ import annotations
 
+import re
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -14,7 +15,7 @@ from spinestiff.anatomy.axes import Axis, Unit, body_axes
 from spinestiff.anatomy.regions import check_parameters
 from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.dicom.millimetres import PIXEL_MM, SOURCE_MM
-from spinestiff.subject.record_reading import IDENTIFIER, Record, shown_value
+from spinestiff.subject.record_reading import IDENTIFIER, WANTED_MARKER, Record, shown_value
 from spinestiff.words import counted
 
 SCHEMA_VERSION: Final = 1
@@ -197,12 +198,20 @@ class MarkersRecord(Record):
     unit: Unit
     axes: ScanAxes
     side: Literal["front", "back", "both"]
-    shown: Annotated[dict[Annotated[str, Field(pattern=f"^{MARKER_NAME}$")], Point], Field(min_length=1, max_length=60)]
+    shown: Annotated[dict[str, Point], Field(min_length=1, max_length=60)]
 
     @field_validator("file")
     @classmethod
     def _stays_inside(cls, path: str) -> str:
         return _inside(path)
+
+    @field_validator("shown")
+    @classmethod
+    def _are_names(cls, shown: dict[str, Point]) -> dict[str, Point]:
+        for name in shown:
+            if not re.fullmatch(MARKER_NAME, name):
+                raise ValueError(f"found marker {shown_value(name)}, wanted {WANTED_MARKER}")
+        return shown
 
 
 class PushRecord(Record):
