@@ -16,13 +16,14 @@ from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.errors import EquilibriumError, OutsideWarning, SpinestiffError, SubjectError, TrackingError
 from spinestiff.files import file_digest
 from spinestiff.imaging.pedicles import pedicle_centres
+from spinestiff.imaging.synthetic.collimation import Collimation
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import align_view
 from spinestiff.study import synthetic
-from spinestiff.study.elastic_supports import SyntheticSupports
+from spinestiff.study.elastic_supports import SupportStiffness, SyntheticSupports
 from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.steps import followed_view, marked_pedicles, side_views
 from spinestiff.study.stiffening import Stiffening
@@ -412,6 +413,34 @@ def test_impossible_pushes_are_refused(wrong, words):
 def test_a_push_that_no_subject_may_have_leaves_nothing_behind(tmp_path, tiny, wrong, words):
     with pytest.raises(SpinestiffError, match=words):
         synthesise(tmp_path / "x", replace(tiny, pushes=(replace(PUSH, **wrong),)))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"pushes": (replace(PUSH, roles=("unused", "validation")),)}, "the recipe: pushes: no frame has the role"),
+        ({"age": 0.0}, "the recipe: age: found 0.0, wanted greater than 0"),
+        ({"sex": "girl"}, "the recipe: sex: found 'girl'"),
+    ],
+)
+def test_a_recipe_that_no_subject_may_have_is_refused_before_anything_is_solved(
+    tmp_path, tiny, monkeypatch, wrong, words
+):
+    monkeypatch.setattr(synthetic, "subject_torso", lambda recipe, say: template_torso(recipe.height_cm, "coarse"))
+    monkeypatch.setattr(synthetic, "support_stiffness", lambda *given: pytest.fail("was solved"))
+    with pytest.raises(SubjectError, match=words):
+        synthesise(tmp_path / "x", replace(tiny, **wrong))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_radiographs_that_show_too_little_of_the_spine_are_refused_before_the_first_file(tmp_path, tiny, monkeypatch):
+    monkeypatch.setattr(synthetic, "subject_torso", lambda recipe, say: template_torso(recipe.height_cm, "coarse"))
+    monkeypatch.setattr(synthetic, "support_stiffness", lambda *given: SupportStiffness(None, 100.0))
+    monkeypatch.setattr(synthetic, "in_parallel", lambda solve, pushes: [[] for _ in pushes])
+    narrow = replace(tiny.acquisition, collimation=Collimation(top=250.0))
+    with pytest.raises(SubjectError, match="a frontal radiograph shows 4 vertebrae as a whole, wanted at least 8"):
+        synthesise(tmp_path / "x", replace(tiny, acquisition=narrow))
     assert list(tmp_path.iterdir()) == []
 
 
