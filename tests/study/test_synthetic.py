@@ -193,6 +193,25 @@ def test_stiffening_discs_turn_less_and_less_with_force_and_are_in_the_truth(tin
     assert later > 1.2
 
 
+def test_stiffening_discs_have_their_ratio_under_the_largest_force_of_the_first_push_from_the_main_side(
+    tmp_path, tiny, monkeypatch
+):
+    class FoundError(Exception):
+        pass
+
+    def found(problem, law, torso, load, wanted):
+        raise FoundError(load)
+
+    monkeypatch.setattr(synthetic, "subject_torso", lambda recipe, say: template_torso(recipe.height_cm, "coarse"))
+    monkeypatch.setattr(synthetic, "support_stiffness", lambda *given: SupportStiffness(None, 100.0))
+    monkeypatch.setattr(synthetic, "solved_with", found)
+    pushes = replace(PUSH, id="other", other_side=True), replace(PUSH, shares=(0.0, 0.5))
+    with pytest.raises(FoundError) as caught:
+        synthesise(tmp_path / "x", replace(tiny, pushes=pushes, stiffening=Stiffening(0.5, 3.0), side="left"))
+    (load,) = caught.value.args
+    np.testing.assert_allclose(load.push.total, [-5.0, 0.0, 0.0], atol=1e-12)
+
+
 def test_the_annotation_is_the_truth_with_a_persons_error(finished):
     subject = read_subject(finished.folder)
     truth = json.loads(finished.truth.read_text())

@@ -129,9 +129,11 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     sides = dict.fromkeys(maker.side_of(push) for push in recipe.pushes)
     problems = {at: EquilibriumProblem(body, elastic_supports(torso, at, stiffness), laws=laws) for at in sides}
     solved = ratios
+    first = next(number for number, push in enumerate(recipe.pushes) if not push.other_side)
     if recipe.stiffening is not None:
         say("fitting the ratios of stiffening joints")
-        solved = solved_with(problems[side], law, torso, largest[0], ratios)
+        load = largest[0].scaled(max(recipe.pushes[first].shares))
+        solved = solved_with(problems[side], law, torso, load, ratios)
 
     # All equilibria before the first file: a push that the torso can't carry leaves nothing behind.
     def pushed(push: SyntheticPush) -> list[TorsoState]:
@@ -150,7 +152,7 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     states = in_parallel(pushed, recipe.pushes)
     discs: dict[str, float] | None = None
     if recipe.stiffening is not None:
-        largest_frame = states[0][int(np.argmax(recipe.pushes[0].shares))]
+        largest_frame = states[first][int(np.argmax(recipe.pushes[first].shares))]
         discs = disc_bending(body, law, torso, largest_frame, solved)
     say("rendering the rest radiographs")
     maker.rest_images()
