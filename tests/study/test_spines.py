@@ -165,6 +165,11 @@ def changed_rows(torso, change):
         (lambda rows: [rows[0][:4] + ["1_0", "0"], *rows[1:]], "line 2: not a number"),
         (lambda rows: [rows[0][:4], *rows[1:]], "line 2: not a number"),
         (lambda rows: [], "no spine 'a'"),
+        (
+            lambda rows: [*rows[:3], [*rows[0][:3], "5", "5", "5"], *rows[3:]],
+            f"line 5: body of {VERTEBRAE[0]} is given twice",
+        ),
+        (lambda rows: [["a", "T1", "x" * 140_000, "0", "0", "0"], *rows], r"after line 1: not CSV \(field larger than"),
     ],
 )
 def test_incomplete_tables_are_refused(torso, tmp_path, change, words):

@@ -16,13 +16,14 @@ from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.errors import EquilibriumError, OutsideWarning, SpinestiffError, SubjectError, TrackingError
 from spinestiff.files import file_digest
 from spinestiff.imaging.pedicles import pedicle_centres
+from spinestiff.imaging.synthetic.collimation import Collimation
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import align_view
 from spinestiff.study import synthetic
-from spinestiff.study.elastic_supports import SyntheticSupports
+from spinestiff.study.elastic_supports import SupportStiffness, SyntheticSupports
 from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.steps import followed_view, marked_pedicles, side_views
 from spinestiff.study.stiffening import Stiffening
@@ -190,6 +191,25 @@ def test_stiffening_discs_turn_less_and_less_with_force_and_are_in_the_truth(tin
     later, sooner = bent["stiffening"][2] / bent["stiffening"][1], bent["linear"][2] / bent["linear"][1]
     assert later < 0.8 * sooner
     assert later > 1.2
+
+
+def test_stiffening_discs_have_their_ratio_under_the_largest_force_of_the_first_push_from_the_main_side(
+    tmp_path, tiny, monkeypatch
+):
+    class FoundError(Exception):
+        pass
+
+    def found(problem, law, torso, load, wanted):
+        raise FoundError(load)
+
+    monkeypatch.setattr(synthetic, "subject_torso", lambda recipe, say: template_torso(recipe.height_cm, "coarse"))
+    monkeypatch.setattr(synthetic, "support_stiffness", lambda *given: SupportStiffness(None, 100.0))
+    monkeypatch.setattr(synthetic, "solved_with", found)
+    pushes = replace(PUSH, id="other", other_side=True), replace(PUSH, shares=(0.0, 0.5))
+    with pytest.raises(FoundError) as caught:
+        synthesise(tmp_path / "x", replace(tiny, pushes=pushes, stiffening=Stiffening(0.5, 3.0), side="left"))
+    (load,) = caught.value.args
+    np.testing.assert_allclose(load.push.total, [-5.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_the_annotation_is_the_truth_with_a_persons_error(finished):
@@ -412,6 +432,34 @@ def test_impossible_pushes_are_refused(wrong, words):
 def test_a_push_that_no_subject_may_have_leaves_nothing_behind(tmp_path, tiny, wrong, words):
     with pytest.raises(SpinestiffError, match=words):
         synthesise(tmp_path / "x", replace(tiny, pushes=(replace(PUSH, **wrong),)))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"pushes": (replace(PUSH, roles=("unused", "validation")),)}, "the recipe: pushes: no frame has the role"),
+        ({"age": 0.0}, "the recipe: age: found 0.0, wanted greater than 0"),
+        ({"sex": "girl"}, "the recipe: sex: found 'girl'"),
+    ],
+)
+def test_a_recipe_that_no_subject_may_have_is_refused_before_anything_is_solved(
+    tmp_path, tiny, monkeypatch, wrong, words
+):
+    monkeypatch.setattr(synthetic, "subject_torso", lambda recipe, say: template_torso(recipe.height_cm, "coarse"))
+    monkeypatch.setattr(synthetic, "support_stiffness", lambda *given: pytest.fail("was solved"))
+    with pytest.raises(SubjectError, match=words):
+        synthesise(tmp_path / "x", replace(tiny, **wrong))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_radiographs_that_show_too_little_of_the_spine_are_refused_before_the_first_file(tmp_path, tiny, monkeypatch):
+    monkeypatch.setattr(synthetic, "subject_torso", lambda recipe, say: template_torso(recipe.height_cm, "coarse"))
+    monkeypatch.setattr(synthetic, "support_stiffness", lambda *given: SupportStiffness(None, 100.0))
+    monkeypatch.setattr(synthetic, "in_parallel", lambda solve, pushes: [[] for _ in pushes])
+    narrow = replace(tiny.acquisition, collimation=Collimation(top=250.0))
+    with pytest.raises(SubjectError, match="a frontal radiograph shows 4 vertebrae as a whole, wanted at least 8"):
+        synthesise(tmp_path / "x", replace(tiny, acquisition=narrow))
     assert list(tmp_path.iterdir()) == []
 
 

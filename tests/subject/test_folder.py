@@ -175,6 +175,23 @@ def test_ids_are_unique_on_any_file_system(folder):
     assert "pushes[1].id: 'Right-8' is used twice" in refusal(folder)
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, "pushes[1].frames: found 'pushes/right-8.dcm', which pushes[0].frames has already"),
+        ({"frames": "./pushes/right-8.dcm"}, "pushes[1].frames: found './pushes/right-8.dcm', which pushes[0].frames"),
+        (
+            {"frames": "b.dcm", "views": [{"id": "side", "kind": "frontal", "files": "b.dcm", "frames": [1]}]},
+            "pushes[1].views[0].files: found 'b.dcm', which pushes[1].frames has already",
+        ),
+    ],
+)
+def test_the_same_radiographs_do_not_count_twice(folder, change, words):
+    twice = [SUBJECT["pushes"][0], {**SUBJECT["pushes"][0], "id": "left-8", **change}]
+    lay_out(folder, subject={**SUBJECT, "pushes": twice})
+    assert words in refusal(folder)
+
+
 def test_more_force_than_anybody_measured_is_a_warning(folder):
     lay_out(folder, subject=changed(SUBJECT, ["pushes", 0, "forces_n", 3], 120))
     (warning,) = read_subject(folder).warnings

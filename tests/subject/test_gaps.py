@@ -71,6 +71,27 @@ def test_everything_that_may_be_open_is_named_and_everything_else_still_checked(
         assert not isinstance(caught.value, SubjectGaps)
 
 
+@pytest.mark.parametrize("mass", [18, 25.0, 95.0, 150])
+def test_a_mass_is_judged_by_no_height_that_only_stands_in(folder, mass):
+    subject = read_unannotated(folder(height_cm=None, mass_kg=mass))
+    assert [gap.key for gap in subject.gaps] == ["height_cm"]
+    assert SubjectRecord.model_validate({**SUBJECT, "height_cm": 200 if mass > 90 else 120, "mass_kg": mass})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"mass_kg": -1.0}, "mass_kg: found -1.0, wanted greater than 0"),
+        ({"mass_kg": 400}, "mass_kg: found 400, wanted less than or equal to 300"),
+        ({"mass_kg": True}, "mass_kg: found true, wanted a valid number"),
+        ({"mass_kg": "45"}, "mass_kg: found '45', wanted a number without quotes: 45"),
+    ],
+)
+def test_a_mass_that_nobody_has_is_refused_without_a_height_too(folder, wrong, words):
+    with pytest.raises(SubjectError, match=re.escape(words)):
+        read_unannotated(folder(height_cm=None, **wrong))
+
+
 def test_distances_are_open_to_dead_loads_alone(folder):
     for change in ({"d21_mm": None, "d31_mm": None}, {"d31_mm": None}):
         subject = read_unannotated(folder(**change))

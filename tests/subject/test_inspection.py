@@ -170,6 +170,25 @@ def test_a_further_view_has_its_geometry_by_its_first_radiograph(folder):
         read_subject(folder)
 
 
+def test_of_a_further_view_the_radiograph_of_the_least_force_has_to_be_marked(folder):
+    (push,) = SUBJECT["pushes"]
+    view = {"id": "side", "kind": "lateral", "files": "pushes/side.dcm", "frames": [2, 1]}
+    pixels, seen = np.zeros((2, 800, 800), np.uint16), lateral_view(shape=(800, 800))
+    write_radiographs(folder / "pushes/side.dcm", pixels, seen, frame_time_ms=250.0)
+    record = {**SUBJECT, "pushes": [{**push, "views": [view]}]}
+    for frame in (1, 2):
+        images = {**ANNOTATION["images"], f"push/right-8/{frame}/side": ANNOTATION["images"]["rest/lateral"]}
+        write(folder, record, {**ANNOTATION, "images": images})
+        (side,) = [one for one in inspect(folder) if one.image.endswith("view side")]
+        if frame == 1:  # the other one is followed from it
+            assert read_subject(folder) and side.status == "ok"
+        else:
+            words = "images.push/right-8/1/side: missing"
+            with pytest.raises(SubjectError, match=words):
+                read_subject(folder)
+            assert side.missing == ("no corners of push/right-8/1/side in annotation.json",)
+
+
 @pytest.mark.parametrize(("most", "odd"), [(6.1, True), (14.9, True), (15, False), (150, False), (151, True)])
 def test_forces_that_may_be_in_another_unit_are_told(folder, most, odd):
     (push,) = SUBJECT["pushes"]
@@ -399,6 +418,17 @@ def test_a_lateral_link_to_nothing_is_not_taken_for_none(folder):
     assert reasons["rest/lateral"].startswith("lateral.dcm: a link to a file that is not there")
     with pytest.raises(SubjectError, match=r"lateral\.dcm: a link to a file that is not there"):
         read_subject(folder)
+
+
+def test_a_lateral_radiograph_that_is_marked_and_not_there_is_told(folder):
+    (folder / "rest/lateral.dcm").unlink()
+    reasons = {one.image: one.reason for one in inspect(folder)}
+    assert reasons["rest/lateral"].startswith("lateral.dcm: no such file")
+    with pytest.raises(SubjectError, match=r"lateral\.dcm: no such file"):
+        read_subject(folder)
+    rest = {name: image for name, image in ANNOTATION["images"].items() if name != "rest/lateral"}
+    write(folder, None, {**ANNOTATION, "images": rest})
+    assert "rest/lateral" not in {one.image for one in inspect(folder)}
 
 
 # The command

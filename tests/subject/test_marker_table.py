@@ -107,7 +107,7 @@ def changed(old, new):
         (changed("marker,frame", "name,frame"), "row 1: columns name,frame,x,y,z, wanted marker,frame,x,y,z"),
         ([line.replace(",", "|") for line in rows()], "row 1: columns marker|frame|x|y|z, wanted marker,frame"),
         ([*rows(), "C7,0,1,2"], "row 14: 4 fields, wanted 5"),
-        (changed("C7", "C 7"), "row 2: found marker 'C 7', wanted letters, digits"),
+        (changed("C7", "C 7"), "row 2: found marker 'C 7', wanted 1 to 32 letters"),
         ([*rows(), "C7,4,1,2,3"], "row 14: found frame '4', but the push has 4 frames, counted from 0"),
         ([*rows(), "C7,1.0,1,2,3"], "row 14: found frame '1.0'"),
         ([*rows(), "C7,1,1,2,3"], "row 14: marker 'C7' is there twice in frame 1"),
@@ -136,6 +136,11 @@ def test_impossible_tables_are_refused(laid_out, lines, words):
         ({"axes": {"left": "-x", "up": "+z", "front": "-y"}}, "shows the body in a mirror"),
         ({"side": "left"}, "pushes[0].markers.side: found 'left', wanted 'front', 'back' or 'both'"),
         ({"shown": {}}, "pushes[0].markers.shown: found {}, wanted"),
+        (
+            {"shown": {"m" * 33: [1.0, 2.0]}},
+            f"markers.shown: found marker '{'m' * 33}', wanted 1 to 32 letters (A to Z)",
+        ),
+        ({"shown": {"-m": [1.0, 2.0]}}, "markers.shown: found marker '-m', wanted 1 to 32 letters (A to Z)"),
         (
             {"shown": {"X": [1.0, 2.0]}},
             "markers.shown: names 'X', which pushes/right-8-markers.csv has not; wanted one",

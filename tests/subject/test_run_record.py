@@ -119,6 +119,20 @@ def test_a_step_is_unchanged_while_its_inputs_and_outputs_are(bare):
         assert not is_unchanged(bare, "estimate")
 
 
+def test_a_file_that_is_younger_than_its_own_step_has_changed_though_another_step_has_run_since(bare):
+    file, output = bare.folder / "a.dcm", bare.results / "estimate.json"
+    write_json(output, {"value": 1})
+    os.utime(output, (1_000_000_000, 1_000_000_000))
+    record_step(bare, "estimate", step_record(bare, ["a.dcm"], {}), [output], seconds=100.0)
+    os.utime(file, (999_999_899, 999_999_899))
+    assert changed_lately(bare, "estimate") == ()
+    file.write_bytes(b"other")
+    for when in (999_999_950, 1_000_000_500):  # while the step was at work, and after it
+        os.utime(file, (when, when))
+        record_step(bare, "response", step_record(bare, [], {}), [])
+        assert changed_lately(bare, "estimate") == ("a.dcm",)
+
+
 def test_files_that_are_older_than_the_record_are_not_read_again(bare, monkeypatch):
     file, run = bare.folder / "a.dcm", bare.results / "run.json"
     assert changed_lately(bare, "estimate") == ()

@@ -185,17 +185,23 @@ def _read_points(table: Path, spine_id: str) -> dict[str, dict[str, Floats]]:
         text = table.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SubjectError(f"{table}: not UTF-8 text (byte {error.start}); wanted a CSV table") from None
-    with io.StringIO(text, newline="") as file:
-        rows = csv.DictReader(file)
+    rows = csv.DictReader(io.StringIO(text, newline=""))
+    try:
         missing = {"id", "level", "keypoint", "x_mm", "y_mm", "z_mm"} - set(rows.fieldnames or ())
         if missing:
             raise SubjectError(f"{table}: column '{sorted(missing)[0]}' is missing")
         for row in rows:
             if row["id"] == spine_id and row["x_mm"]:
+                where = f"{table}: line {rows.line_num}"
                 lps = [plain_number(row[key] or "") for key in ("x_mm", "y_mm", "z_mm")]
                 if not np.isfinite(lps).all():
-                    raise SubjectError(f"{table}: line {rows.line_num}: not a number")
-                points.setdefault(row["level"], {})[row["keypoint"]] = torso_from_lps(np.array(lps))
+                    raise SubjectError(f"{where}: not a number")
+                known = points.setdefault(row["level"], {})
+                if row["keypoint"] in known:
+                    raise SubjectError(f"{where}: {row['keypoint']} of {row['level']} is given twice; keep one")
+                known[row["keypoint"]] = torso_from_lps(np.array(lps))
+    except csv.Error as error:
+        raise SubjectError(f"{table}: after line {rows.line_num}: not CSV ({error})") from None
     if not points:
         raise SubjectError(f"{table}: no spine '{spine_id}'")
     lacking = [level for level in VERTEBRAE if "body" not in points.get(level, {})]

@@ -29,7 +29,7 @@ from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.priors import Priors
 from spinestiff.files import read_json, write_json
-from spinestiff.imaging.features import silhouette_shares, state_features
+from spinestiff.imaging.features import silhouette_shares, state_features, view_kind
 from spinestiff.imaging.pedicles import pedicle_centres
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
@@ -57,11 +57,12 @@ from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
 from spinestiff.study.stiffening import disc_bending, solved_with
 from spinestiff.study.synthetic_markers import spread_markers, view_of_markers
-from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
+from spinestiff.subject.annotation_record import FEWEST_OF_VIEW, FEWEST_VERTEBRAE, Annotation, ImageAnnotation
 from spinestiff.subject.folder import write_annotation, write_subject
 from spinestiff.subject.marker_table import write_markers
 from spinestiff.subject.record_reading import parse_record
 from spinestiff.subject.records import PushRecord, SubjectRecord
+from spinestiff.words import counted
 
 # Table 4's range of estimated ratios, where a subject's own are drawn from.
 BENDING_RANGE, TISSUE_RANGE = (0.05, 0.63), (0.01, 0.15)
@@ -128,9 +129,11 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     sides = dict.fromkeys(maker.side_of(push) for push in recipe.pushes)
     problems = {at: EquilibriumProblem(body, elastic_supports(torso, at, stiffness), laws=laws) for at in sides}
     solved = ratios
+    first = next(number for number, push in enumerate(recipe.pushes) if not push.other_side)
     if recipe.stiffening is not None:
         say("fitting the ratios of stiffening joints")
-        solved = solved_with(problems[side], law, torso, largest[0], ratios)
+        load = largest[0].scaled(max(recipe.pushes[first].shares))
+        solved = solved_with(problems[side], law, torso, load, ratios)
 
     # All equilibria before the first file: a push that the torso can't carry leaves nothing behind.
     def pushed(push: SyntheticPush) -> list[TorsoState]:
@@ -149,7 +152,7 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     states = in_parallel(pushed, recipe.pushes)
     discs: dict[str, float] | None = None
     if recipe.stiffening is not None:
-        largest_frame = states[0][int(np.argmax(recipe.pushes[0].shares))]
+        largest_frame = states[first][int(np.argmax(recipe.pushes[first].shares))]
         discs = disc_bending(body, law, torso, largest_frame, solved)
     say("rendering the rest radiographs")
     maker.rest_images()
@@ -218,6 +221,7 @@ class _Acquisition:
         self._marker_random = np.random.default_rng([recipe.seed, MARKER_STREAM])
         self._gauge_random = np.random.default_rng([recipe.seed, GAUGE_STREAM])
         self.pushes = tuple(self._push_record(push) for push in recipe.pushes)
+        self._record()
 
     def side_of(self, push: SyntheticPush) -> Side:
         """The side of a push."""
@@ -225,20 +229,24 @@ class _Acquisition:
 
     def rest_images(self) -> None:
         lateral = replace(self.recipe.acquisition, exposure=self.recipe.lateral_exposure)
+        taken = []
+        # Both are marked before the first file: what shows too little of the spine leaves nothing behind.
         for name, nominal, orientation, how in (
             ("frontal", self._nominal(frontal_view), ("L", "F"), self.recipe.acquisition),
             ("lateral", self._nominal(lateral_view), ("A", "F"), lateral),
         ):
-            view = self._standing(nominal)
-            pixels = self._radiographs([self.torso.rest_pose], view, how)
-            path = self.folder / "rest" / f"{name}.dcm"
-            self._write(path, pixels, view, orientation, f"rest {name}")
+            view, seed = self._standing(nominal), self._drawn_seed()
             self.images[f"rest/{name}"] = self._annotation(view)
+            taken.append((name, view, orientation, how, seed))
+        for name, view, orientation, how, seed in taken:
+            pixels = self._radiographs([self.torso.rest_pose], view, how, seed)
+            self._write(self.folder / "rest" / f"{name}.dcm", pixels, view, orientation, f"rest {name}")
 
     def push(self, push: SyntheticPush, states: list[TorsoState], supports: Supports) -> None:
         view = self._standing(self._nominal(frontal_view))
         load = rib_push(self.torso, self.side_of(push), push.level, 1.0)
-        pixels = self._radiographs(states, view, self.recipe.acquisition, Gauge(load.points, load.forces.sum(axis=0)))
+        gauge = Gauge(load.points, load.forces.sum(axis=0))
+        pixels = self._radiographs(states, view, self.recipe.acquisition, self._drawn_seed(), gauge)
         path = self.folder / "pushes" / f"{push.id}.dcm"
         self._write(path, pixels, view, ("L", "F"), f"push {push.id}")
         self.images[f"push/{push.id}"] = self._annotation(view, held_against=self.side_of(push))
@@ -262,10 +270,11 @@ class _Acquisition:
         side = self._standing(self._nominal(lateral_view))
         how = replace(self.recipe.acquisition, exposure=self.recipe.lateral_exposure)
         path = self.folder / "pushes" / f"{push.id}-{SIDE}.dcm"
-        self._write(path, self._radiographs(states, side, how), side, ("A", "F"), f"push {push.id} lateral")
+        pixels = self._radiographs(states, side, how, self._drawn_seed())
+        self._write(path, pixels, side, ("A", "F"), f"push {push.id} lateral")
         record = next(record for record in self.pushes if record.id == push.id)
         for number, state in enumerate(states):
-            self.images[record.view_image(number, SIDE)] = self._annotation(side, state=state)
+            self.images[record.view_image(number, SIDE)] = self._annotation(side, state=state, fewest=FEWEST_OF_VIEW)
             name = record.frame_image(number)
             there = self.images[name].model_dump() if name in self.images else {"vertebrae": {}}
             marked = {**there, "pedicles": self._marked_pedicles(frontal, state)}
@@ -320,15 +329,7 @@ class _Acquisition:
         discs: dict[str, float] | None,
     ) -> Path:
         recipe = self.recipe
-        record = SubjectRecord(
-            schema_version=1,
-            id=f"synthetic-{recipe.seed}",
-            age=recipe.age,
-            sex=recipe.sex,
-            height_cm=recipe.height_cm,
-            pushes=self.pushes,
-        )
-        write_subject(self.folder, record)
+        write_subject(self.folder, self._record())
         write_annotation(self.folder, Annotation(schema_version=1, images=self.images))
         path = truth_path(self.folder)
         write_json(
@@ -350,6 +351,19 @@ class _Acquisition:
         )
         return path
 
+    def _record(self) -> SubjectRecord:
+        """Raises SubjectError for a recipe that no subject may have."""
+        recipe = self.recipe
+        record = {
+            "schema_version": 1,
+            "id": f"synthetic-{recipe.seed}",
+            "age": recipe.age,
+            "sex": recipe.sex,
+            "height_cm": recipe.height_cm,
+            "pushes": [push.model_dump(mode="json") for push in self.pushes],
+        }
+        return parse_record(json.dumps(record), "the recipe", SubjectRecord)
+
     def _nominal(self, make: Callable[..., XRayView]) -> XRayView:
         shape = self.recipe.shape
         return make(shape=shape, pixel=round(DETECTOR_WIDTH_MM / shape[1], 4), centre=self.centre)
@@ -358,10 +372,12 @@ class _Acquisition:
         shift = self.random.normal(0.0, STANDING_SD_MM, 2)
         return nominal.moved(shift, float(self.random.normal(0.0, STANDING_SD_RAD)))
 
+    def _drawn_seed(self) -> int:
+        return int(self.random.integers(2**31))
+
     def _radiographs(
-        self, states: list[TorsoState], view: XRayView, how: Acquisition, gauge: Gauge | None = None
+        self, states: list[TorsoState], view: XRayView, how: Acquisition, seed: int, gauge: Gauge | None = None
     ) -> np.ndarray:
-        seed = int(self.random.integers(2**31))
         return np.stack(acquire(self.torso, states, view, how, person=self.recipe.seed, seed=seed, gauge=gauge))
 
     def _write(
@@ -379,10 +395,14 @@ class _Acquisition:
         )
 
     def _annotation(
-        self, view: XRayView, held_against: Side | None = None, state: TorsoState | None = None
+        self,
+        view: XRayView,
+        held_against: Side | None = None,
+        state: TorsoState | None = None,
+        fewest: int = FEWEST_VERTEBRAE,
     ) -> ImageAnnotation:
         """What a person would click in a state's image, by default the unloaded torso's: the visible vertebrae, a
-        little off, and with a pushed side pelvis and held shoulder."""
+        little off, and with a pushed side pelvis and held shoulder. Raises SubjectError for fewer than ``fewest``."""
         rest = self.torso.rest_pose
         shares = silhouette_shares(self.torso, view, rest)
         corners = state_features(self.torso, view, rest if state is None else state, shares).corners
@@ -390,6 +410,11 @@ class _Acquisition:
         pixels = view.pixels(corners + noise).round(2)
         inside = self._shown(pixels, view).all(1)
         vertebrae = {VERTEBRAE[i]: pixels[i].tolist() for i in np.flatnonzero(inside)}
+        if len(vertebrae) < fewest:
+            raise SubjectError(
+                f"a {view_kind(view)} radiograph shows {counted(len(vertebrae), 'vertebra', 'vertebrae')} as a whole, "
+                f"wanted at least {fewest}; collimate less"
+            )
         points: dict[str, list[list[float]]] = {}
         if held_against is not None:
             for name, landmark in (("pelvis", "pelvis_belt"), ("shoulder", "humerus_head")):

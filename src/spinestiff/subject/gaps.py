@@ -20,6 +20,7 @@ from spinestiff.subject.record_reading import complaints_of, parse_record
 from spinestiff.subject.records import (
     DISTANCES_MM,
     GAUGE_LIMIT_N,
+    HEAVIEST_KG,
     HEIGHTS_CM,
     LEVELS,
     OLDEST,
@@ -92,7 +93,8 @@ class Gap:
 def read_open_record(path: Path) -> tuple[SubjectRecord, tuple[Gap, ...]]:
     """``subject.json``, complete or not, and what is not known yet.
 
-    Where there are gaps, the record has stand-ins in those places, and no roles and markers if a force is missing.
+    Where there are gaps, the record has stand-ins in those places, no roles and markers if a force is missing, and no
+    mass without a height.
 
     Raises
     ------
@@ -154,6 +156,10 @@ def _filled(data: dict[str, Any]) -> dict[str, Any]:
         for key, value in _STAND_INS.items():
             if _lacks(filled, one, key):
                 one[key] = value
+    mass: Any = filled.get("mass_kg")
+    if _open(data, "height_cm") and type(mass) in (int, float) and 0.0 < mass <= HEAVIEST_KG:
+        # A mass is judged by the height.
+        del filled["mass_kg"]
     lacking = [push for push in pushes if isinstance(push.get("forces_n"), list) and None in push["forces_n"]]
     for push in lacking:
         push["forces_n"] = [0.0 if force is None else force for force in push["forces_n"]]

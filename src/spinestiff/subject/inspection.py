@@ -192,6 +192,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
     paths = {name: folder / path for name, path in REST_IMAGES.items()}
     forces = {push.image: len(push.forces_n) for push in record.pushes}
     marks: dict[str, tuple[str, ...]] = {}
+    needed: dict[str, str] = {}
     paths |= {push.image: folder / push.frames for push in record.pushes}
     # Frames beside the first may be annotated, too.
     later = {push.image: frame_names(push)[1:] for push in record.pushes}
@@ -201,6 +202,8 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
             name = f"{push.image}, view {view.id}"
             paths[name], forces[name], kinds[name] = folder / view.files, len(view.frames), view.kind
             marks[name] = tuple(push.view_image(frame, view.id) for frame in view.frames)
+            # In the others corners are followed from there.
+            needed[name] = push.view_image(push.least_of(view), view.id)
     odd_forces = {push.image: _odd_forces(push) for push in record.pushes}
     found: list[Inspection] = []
     if annotation is not None:
@@ -208,7 +211,8 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
     if gaps:
         found.append(Inspection(SUBJECT_FILE, missing=tuple(f"{gap.field}: {gap.words}" for gap in gaps)))
     for name, path in paths.items():
-        if name == LATERAL and not path.exists() and not path.is_symlink():
+        marked_lateral = annotation is not None and LATERAL in annotation.images
+        if name == LATERAL and not (marked_lateral or path.exists() or path.is_symlink()):
             continue
         try:
             geometry = image_geometry(record, annotation, marks.get(name, (name,))[0], kinds.get(name, "frontal"))
@@ -218,7 +222,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
         one, scan = _image(path, name, geometry, folder)
         kind, frames, wanted = kinds.get(name, "frontal"), forces.get(name, 1), marks.get(name, (name,))
         if scan is not None:
-            one = _fitting(one, name, annotation, frames, kind, wanted)
+            one = _fitting(one, name, annotation, frames, kind, needed.get(name, name))
         if scan is not None and annotation is not None and not (one.reason or scan.missing):
             seen_from, subject = scan.view(np.zeros(3)), Subject(folder, record, annotation)
             one = replace(one, reason=_odd_marks(subject, (*wanted, *later.get(name, ())), seen_from))
@@ -257,20 +261,19 @@ def _unknown_images(subject: Subject) -> Iterator[Inspection]:
 
 
 def _fitting(
-    one: Inspection, name: str, annotation: Annotation | None, frames: int, wanted: str, marks: tuple[str, ...]
+    one: Inspection, name: str, annotation: Annotation | None, frames: int, wanted: str, mark: str
 ) -> Inspection:
-    """Held against what the subject folder wants of this image; ``marks``: its names in the annotation."""
+    """Held against what the subject folder wants of this image; ``mark``: what of it has to be in the annotation."""
     if one.seen["view"] not in (None, wanted):
         reason = f"{one.seen['file']}: found a {one.seen['view']} radiograph, wanted a {wanted} one"
         return Inspection(name, reason, one.seen)
     if one.seen["frames"] != frames:
-        each = "forces_n" if marks == (name,) else "the view's frames"
+        each = "forces_n" if mark == name else "the view's frames"
         rest = "1, at rest" if name in REST_IMAGES else f"{frames}, one for each of {each} in subject.json"
         return Inspection(name, f"{one.seen['file']}: found {one.seen['frames']} frames, wanted {rest}", one.seen)
     missing = one.missing
-    for mark in marks:
-        if annotation is None or mark not in annotation.images:
-            missing += (f"no corners of {mark} in {ANNOTATION_FILE}",)
+    if annotation is None or mark not in annotation.images:
+        missing += (f"no corners of {mark} in {ANNOTATION_FILE}",)
     return Inspection(name, "", one.seen, missing, one.warnings)
 
 

@@ -19,6 +19,7 @@ from spinestiff.formats import parse_csv, plain_number
 from spinestiff.imaging.projection import XRayView
 from spinestiff.subject.folder import Subject, check_inside
 from spinestiff.subject.outcomes import MarkerTracks
+from spinestiff.subject.record_reading import WANTED_MARKER
 from spinestiff.subject.records import MARKER_NAME, SUBJECT_FILE, MarkersRecord, PushRecord
 from spinestiff.words import counted
 
@@ -90,7 +91,7 @@ def _table(path: Path, frames: int) -> tuple[tuple[str, ...], Floats]:
     ):
         where = f"{path}: row {line}"
         if not re.fullmatch(MARKER_NAME, name):
-            raise SubjectError(f"{where}: found marker {name[:40]!r}, wanted letters, digits, '.', '_' or '-', 1 to 32")
+            raise SubjectError(f"{where}: found marker {name[:40]!r}, wanted {WANTED_MARKER}")
         if not re.fullmatch(r"[0-9]{1,4}", frame) or int(frame) >= frames:
             raise SubjectError(
                 f"{where}: found frame {frame[:40]!r}, but the push has {counted(frames, 'frame')}, counted from 0"

@@ -18,7 +18,9 @@ from spinestiff.words import did_you_mean
 
 SUBJECT_PAGE = "docs/subject-folder.md"
 IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
-WANTED_ID = "1 to 64 letters (A to Z), digits, '.', '_' or '-', the first a letter or digit"
+_WANTED_NAME = "1 to {} letters (A to Z), digits, '.', '_' or '-', the first a letter or digit"
+WANTED_ID = _WANTED_NAME.format(64)
+WANTED_MARKER = _WANTED_NAME.format(32)
 
 
 class Record(BaseModel):

@@ -5,6 +5,7 @@ What the folder holds beside it and annotation.json is read by ``folder``.
 
 from __future__ import annotations
 
+import re
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -14,7 +15,7 @@ from spinestiff.anatomy.axes import Axis, Unit, body_axes
 from spinestiff.anatomy.regions import check_parameters
 from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.dicom.millimetres import PIXEL_MM, SOURCE_MM
-from spinestiff.subject.record_reading import IDENTIFIER, Record, shown_value
+from spinestiff.subject.record_reading import IDENTIFIER, WANTED_MARKER, Record, shown_value
 from spinestiff.words import counted
 
 SCHEMA_VERSION: Final = 1
@@ -32,6 +33,7 @@ DISTANCES_MM = (30.0, 1000.0)
 LEVELS = (1.0, 12.0)
 """Ribs."""
 HEIGHTS_CM = (120.0, 200.0)
+HEAVIEST_KG = 300.0
 OLDEST = 120.0
 """Years; an age is above 0."""
 MARKER_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}"
@@ -196,12 +198,20 @@ class MarkersRecord(Record):
     unit: Unit
     axes: ScanAxes
     side: Literal["front", "back", "both"]
-    shown: Annotated[dict[Annotated[str, Field(pattern=f"^{MARKER_NAME}$")], Point], Field(min_length=1, max_length=60)]
+    shown: Annotated[dict[str, Point], Field(min_length=1, max_length=60)]
 
     @field_validator("file")
     @classmethod
     def _stays_inside(cls, path: str) -> str:
         return _inside(path)
+
+    @field_validator("shown")
+    @classmethod
+    def _are_names(cls, shown: dict[str, Point]) -> dict[str, Point]:
+        for name in shown:
+            if not re.fullmatch(MARKER_NAME, name):
+                raise ValueError(f"found marker {shown_value(name)}, wanted {WANTED_MARKER}")
+        return shown
 
 
 class PushRecord(Record):
@@ -387,7 +397,7 @@ class SubjectRecord(Record):
     age: Annotated[float, Field(gt=0.0, le=OLDEST)]
     sex: Literal["female", "male"]
     height_cm: Annotated[float, Field(ge=HEIGHTS_CM[0], le=HEIGHTS_CM[1])]
-    mass_kg: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
+    mass_kg: Annotated[float, Field(gt=0.0, le=HEAVIEST_KG)] | None = None
     xray: XRayRecord = XRayRecord()
     torso: str | None = None
     pushes: Annotated[tuple[PushRecord, ...], Field(strict=False)]
@@ -431,6 +441,7 @@ class SubjectRecord(Record):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"pushes[{i}].id: '{self.pushes[i].id}' is used twice; give each push its own id")
+        self._refuse_same_files()
         scaled = (*REST_IMAGES, *(push.image for push in self.pushes))
         apart = (*REST_IMAGES, *(image for push in self.pushes for image in push.geometry_images))
         for key, given, known in (("scale", self.xray.scale, scaled), ("images", self.xray.images, apart)):
@@ -457,3 +468,22 @@ class SubjectRecord(Record):
                 "wall: found 'one-sided' beside pelvis 'dead-loads', which leave the wall out, wanted 'bilateral'"
             )
         return self
+
+    def _refuse_same_files(self) -> None:
+        """Raise ValueError where a file of what was seen under a push is named twice: it would count as two."""
+        named = [
+            one
+            for i, push in enumerate(self.pushes)
+            for one in (
+                (f"pushes[{i}].frames", push.frames),
+                *((f"pushes[{i}].views[{j}].files", view.files) for j, view in enumerate(push.views)),
+                *(() if push.markers is None else ((f"pushes[{i}].markers.file", push.markers.file),)),
+            )
+        ]
+        first: dict[PurePosixPath, str] = {}
+        for field, path in named:
+            if (other := first.setdefault(PurePosixPath(path), field)) != field:
+                raise ValueError(
+                    f"{field}: found {shown_value(path)}, which {other} has already; wanted each in one place, or it "
+                    "counts twice"
+                )

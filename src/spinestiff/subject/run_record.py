@@ -21,11 +21,12 @@ from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 from spinestiff.subject.program import program
 from spinestiff.subject.record_reading import complaint_of
-from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE
+from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.words import pasted
 
 RUN_FILE = "run.json"
 RUN_SCHEMA: Final = 2
+_RUN = f"{RESULTS}/{RUN_FILE}"
 
 F = TypeVar("F", bound=OutcomeFile)
 
@@ -210,12 +211,14 @@ def changed_inputs(subject: Subject, step: str) -> tuple[str, ...]:
 
 
 def changed_lately(subject: Subject, step: str) -> tuple[str, ...]:
-    """Like ``changed_inputs``, but a file that is older than the record is taken to be as it was, and not read; what
+    """Like ``changed_inputs``, but a file that is older than the step is taken to be as it was, and not read; what
     can't be read has changed."""
     recorded = recorded_steps(subject).get(step)
     if recorded is None:
         return ()
-    since = (subject.results / RUN_FILE).stat().st_mtime_ns
+    # Later steps write their own into the record; inputs were hashed before the step began.
+    made = [path for path in (subject.folder / name for name in (*recorded.outputs, _RUN)) if path.is_file()]
+    since = min(path.stat().st_mtime_ns for path in made) - int(1e9 * recorded.seconds)
     late = {
         name: sha for name, sha in recorded.inputs.items() if name in PARTS or _younger(subject.folder / name, since)
     }

@@ -135,6 +135,7 @@ def test_what_is_wrong_is_said_with_its_line(log, text, words):
         (("03.03.2026 9:59:59", "03.03.2026 10:00:00", "03.03.2026 10:00:02"), [0.0, 1.0, 3.0]),
         (("11:59:59 AM", "12:00:00 PM", "1:00:00 pm"), [0.0, 1.0, 3601.0]),
         (("3:22.50", "03:22,75", "04:00.0"), [0.0, 0.25, 37.5]),
+        (("59:58.5", "59:59.5", "00:00.5"), [0.0, 1.0, 2.0]),
     ],
 )
 def test_times_of_day_become_seconds_from_the_first_entry(log, entries, times):
@@ -152,6 +153,12 @@ def test_times_of_day_become_seconds_from_the_first_entry(log, entries, times):
     [
         (("14:03:22", "14:03:22"), "line 3: the time does not grow; export it with parts of a second"),
         (("14:03:22", "14:03:21"), "line 3: the time does not grow; wanted one log, in order of time"),
+        (("03:22.5", "03:21.5"), "line 3: the time does not grow; wanted one log, in order of time"),
+        (
+            ("59:58.5", "00:00.5", "59:59.5"),
+            "line 4: more than half an hour after the entry before, or before it; wanted",
+        ),
+        (("13:59:58.5", "13:00:00.5"), "line 3: the time does not grow; wanted one log, in order of time"),
         (("14:03:22", "23.5"), "line 3: found '23.5;1', wanted a time of day and a force"),
         (("14:03:22", "14:03"), "line 3: found '14:03;1', wanted a time of day and a force"),
         (("2:03:22 PM", "14:03:23 PM"), "line 3: found '14:03:23 PM;1', wanted a time of day and a force"),

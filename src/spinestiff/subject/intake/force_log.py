@@ -47,7 +47,7 @@ _CLOCK = re.compile(
 """A time of day, with a date before it or none: 14:03:22, 2:03:22.5 PM, 2026-03-03T14:03:22,500, 14:03:22:500."""
 _MINUTES = re.compile(r"(?P<m>[0-5]?\d):(?P<s>[0-5]\d)[.,](?P<part>\d+)")
 """Minutes and seconds, 03:22.5, as spreadsheets save times of day; without parts of a second they may be hours."""
-DAY_S = 86400.0
+DAY_S, HOUR_S = 86400.0, 3600.0
 NOTHING_N = 0.5
 """Forces below count as none: what a hand-held gauge shows in the air."""
 BESIDE_S, BESIDE_STEPS = 0.1, 2.0
@@ -247,7 +247,8 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
     SubjectError : a unit that is not known, a row without numbers or with more than the header has, times that do not
         grow, fewer than two rows, forces of both signs or beyond the gauge's limit.
 
-    Times of day become seconds from the first entry on; midnight may come between.
+    Times of day become seconds from the first entry on; midnight may come between, and a full hour where they tell
+    minutes and seconds alone.
     """
     if columns.time_unit is None:
         raise SubjectError(
@@ -257,7 +258,7 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
         raise SubjectError(
             f"{path}: column {_shown(columns.force)} tells no unit; give --log-units s,N (or s,kgf or s,lbf)"
         )
-    rows = []
+    rows, period = [], HOUR_S
     lines = read_exported_text(path).splitlines()
     for number, line in enumerate(lines[columns.first - 1 :], columns.first):
         if not line.strip(columns.separator + " \t"):
@@ -277,6 +278,7 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
                 f"{path}: line {number}: found {_shown(line)}, wanted {wanted}; take the line out if it is no entry"
             )
         rows.append((number, time, force))
+        period = period if _MINUTES.fullmatch(when) else DAY_S
         if len(rows) > MOST_ROWS:
             raise SubjectError(f"{path}: more than {MOST_ROWS} rows; cut the log to the push")
     if len(rows) < 2:
@@ -287,8 +289,14 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
     if columns.clock:
         began = _cells(lines[rows[0][0] - 1], columns.separator)[columns.at[0]]
         notes.append(f"times of day: the log's seconds count from its first entry, {began[:40]}")
-        # Once a day the clock falls by nearly a day.
-        times = times - times[0] + DAY_S * np.cumsum(np.diff(times, prepend=times[0]) < -0.5 * DAY_S)
+        # Once a day the clock falls by nearly a day, once an hour one of minutes alone by nearly an hour.
+        times = times - times[0] + period * np.cumsum(np.diff(times, prepend=times[0]) < -0.5 * period)
+        far = np.flatnonzero(np.diff(times) > 0.5 * period)
+        if period == HOUR_S and len(far):
+            raise SubjectError(
+                f"{path}: line {rows[far[0] + 1][0]}: more than half an hour after the entry before, or before it; "
+                "wanted times with their hours"
+            )
         if times.max() > 0.5 * DAY_S:
             raise SubjectError(f"{path}: the times of day span more than half a day; wanted one log, in order of time")
     backwards = np.flatnonzero(np.diff(times) <= 0.0)
