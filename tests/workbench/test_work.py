@@ -173,6 +173,11 @@ def test_names_that_are_no_utf8_are_shown_and_hide_nothing(root, serve, tmp_path
         assert served.ask("POST", "/api/look/picture", wide)[0] == 200
         chosen = {**asked, "frontal": files[0]["name"]}
         assert served.good("POST", "/api/look", chosen)["files"][0]["use"] == "rest, frontal"
+        (root / "girl" / f"{latin}.txt").write_text("note", encoding="utf-8")
+        ticket = served.good("POST", f"/api/subjects/{served.key()}/zip", {"nameless": False})["ticket"]
+        _, _, content = served.ask("GET", f"/parcel/{ticket}")
+        with zipfile.ZipFile(io.BytesIO(content)) as zipped:
+            assert zipped.read("M%FCller.txt") == b"note"
 
 
 # The form.

@@ -22,6 +22,7 @@ from spinestiff.imaging.deidentification.deidentify import deidentify
 from spinestiff.imaging.deidentification.pseudonyms import Key, random_key
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.radiograph import read_scans
+from spinestiff.loopback.asking import sendable
 from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SUBJECT_FILE
@@ -99,11 +100,13 @@ class Parcels:
 def whole_parcel(folder: Path, place: Path) -> Path:
     """All files of a subject, but hidden ones and links, as a zip file in a folder; returns its path.
 
+    Bytes of a name that are no UTF-8 stand in it as the page shows them (``sendable``).
+
     Raises
     ------
     SubjectError : there is no room for it, or it can't be written.
     """
-    return _zipped(place, [(path.relative_to(folder).as_posix(), path) for path in _files(folder)])
+    return _zipped(place, [(sendable(path.relative_to(folder).as_posix()), path) for path in _files(folder)])
 
 
 def _files(folder: Path) -> Iterator[Path]:
