@@ -149,6 +149,17 @@ def test_folders_on_the_machine_are_those_that_were_named(root, serve, tmp_path)
         assert served.good("POST", "/api/subjects", asked)["key"] == served.key("new")
 
 
+def test_no_subject_and_no_folder_is_one_too_many(tmp_path):
+    names = [f"{number:04d}" for number in range(2001)]
+    for name in names:
+        (tmp_path / "root" / name).mkdir(parents=True)
+        (tmp_path / "root" / name / "subject.json").touch()
+    bench = open_bench(tmp_path / "root", sources=(tmp_path / "root",))
+    assert [folder.name for _, folder in bench.root.subjects()] == names
+    assert bench.root.subject(bench.root.key_of(names[-1])).name == names[-1]
+    assert [name for _, name, _ in bench.sources.offered()] == ["root", *(f"root/{name}" for name in names)]
+
+
 def test_names_that_are_no_utf8_are_shown_and_hide_nothing(root, serve, tmp_path):
     latin = os.fsdecode(b"M\xfcller")
     try:
