@@ -153,6 +153,16 @@ def test_who_hangs_and_who_takes_all_memory_is_ended(made):
     assert len(last_of(cohort, "sub-002").tries) == 2
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="as Linux tells memory")
+def test_the_memory_of_a_try_is_not_that_of_whoever_started_it(made):
+    cohort = made(1)
+    held = b"x" * (800 * 2**20)
+    run_participants(cohort, 1)
+    del held
+    (tried,) = last_of(cohort, "sub-001").tries
+    assert 10.0 < tried.peak_mb < 400.0
+
+
 def test_why_the_first_try_failed_is_written_before_the_second(made):
     cohort = made(1, sub_001="hang")
     told = []
