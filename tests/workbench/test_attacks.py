@@ -253,6 +253,25 @@ def test_zip_files_share_one_limit_however_late_they_come(root, serve):
         assert not (uploads.place(key) / "unpacked" / "1").exists()
 
 
+def test_a_zip_file_whose_unpacking_was_killed_is_unpacked_anew(root, serve, monkeypatch):
+    archive = packed((name, os.urandom(2**20)) for name in "abc")
+    with serve(root, upload_bytes=2 * len(archive) + 2**10) as served:
+        key, uploads, new = served.upload({"a.zip": archive}), served.bench.uploads, Names.new
+
+        def twice(names, name):
+            if name == "c":
+                raise KeyboardInterrupt
+            return new(names, name)
+
+        with monkeypatch.context() as killed:
+            killed.setattr(Names, "new", twice)
+            killed.setattr(unzipping.shutil, "rmtree", lambda *_, **__: None)  # which nobody does who is killed
+            with pytest.raises(KeyboardInterrupt):
+                uploads.whole(key)
+        (_, unpacked) = uploads.whole(key)
+        assert sorted(one.relative_to(unpacked).as_posix() for one in unpacked.rglob("*")) == ["0", "0/a", "0/b", "0/c"]
+
+
 def test_a_zip_file_leaves_room_on_the_disk(served, monkeypatch):
     key = served.upload({"a.zip": packed([("a", os.urandom(3 * 2**20))])})
     free = SPARE_BYTES + 2 * 2**20

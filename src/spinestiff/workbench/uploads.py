@@ -156,5 +156,6 @@ class Uploads:
         return place.stat().st_size if place.is_file() else 0
 
 
-def _bytes_in(folder: Path) -> int:
-    return sum(one.stat().st_size for one in folder.rglob("*") if one.is_file())
+def _bytes_in(unpacked: Path) -> int:
+    """Of what was unpacked whole; what a process that was killed has left is hidden, and goes before the next try."""
+    return sum(one.stat().st_size for one in unpacked.glob("[0-9]*/**/*") if one.is_file())
