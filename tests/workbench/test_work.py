@@ -22,6 +22,7 @@ import pytest
 
 from asking import wait_for
 from hospital import disc, export, gauged
+from spinestiff.annotate import session
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.app.plan import wish_of
 from spinestiff.errors import OptionError, SubjectError
@@ -656,6 +657,26 @@ def test_what_is_removed_can_be_put_back(served, root):
     assert served.ask("POST", f"/api/trash/{trash}/restore", {})[0] == 422
     served.good("DELETE", f"/api/trash/{trash}")
     assert served.good("GET", "/api/trash")["trash"] == []
+
+
+def test_a_subject_is_not_removed_under_marks_that_are_being_saved(served, root, monkeypatch):
+    page, write = f"/annotate/{served.key()}/api", session.write_json
+    removal = threading.Thread(target=served.bench.trash.remove, args=(root / "girl",))
+
+    def meanwhile(path, data):
+        removal.start()
+        removal.join(1.0)
+        write(path, data)
+
+    revision = served.good("GET", f"{page}/session")["revision"]
+    draft = {"schema_version": 1, "images": {"rest/frontal": {"vertebrae": drawn("rest/frontal").named("T1")}}}
+    monkeypatch.setattr(session, "write_json", meanwhile)
+    served.good("PUT", f"{page}/annotation", {"revision": revision, "draft": draft})
+    removal.join()
+    assert not (root / "girl").exists()
+    (trash,) = served.good("GET", "/api/trash")["trash"]
+    served.good("POST", f"/api/trash/{trash['key']}/restore", {})
+    assert (root / "girl" / "annotation.draft.json").is_file() and (root / "girl" / "subject.json").is_file()
 
 
 def test_a_subject_whose_folder_has_any_name_can_be_put_back(served, root):
