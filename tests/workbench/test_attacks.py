@@ -338,6 +338,13 @@ def test_its_own_folder_is_nobody_elses_to_read(root, serve):
         assert (root / OWN).stat().st_mode & 0o777 == 0o700
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="folders of one account")
+def test_a_zip_file_is_nobody_elses_to_read_where_nothing_is_changed(root, serve):
+    with serve(root, read_only=True) as served:
+        served.good("POST", f"/api/subjects/{served.key()}/zip", {"nameless": False})
+        assert served.bench.parcels.folder.stat().st_mode & 0o777 == 0o700
+
+
 def test_many_keys_with_one_twice_are_refused_without_comparing_all():
     """Each with all others would take minutes, during which nobody else is answered."""
     keys = ", ".join(f'"{i}": 0' for i in range(200_000))

@@ -78,7 +78,8 @@ class Parcels:
         if self.folder.is_dir():
             return
         try:
-            self.folder.mkdir(parents=True)
+            # Nobody else's to read, also where a server that changes nothing has not made ``.workbench`` so.
+            self.folder.mkdir(mode=0o700, parents=True)
             self._held.enter_context(sole_run(self.folder))
         except OSError as problem:
             raise SubjectError(f"the zip file can't be made ({trouble(problem)})") from None
