@@ -115,6 +115,13 @@ def test_names_of_files_are_no_paths(served, name):
     assert len(inside) == 1 and inside[0].resolve().is_relative_to(place / "files")
 
 
+def test_a_name_that_is_harmless_stays_as_it_is():
+    for name in ("A&P #1 [30 N]~.dcm", "it's/100%; ok!.dcm", "Mu\u0308ller.dcm", f"{'1.2.840.113619.' * 8}zip"):
+        assert harmless(name) == name
+    assert harmless(f"{'1.2.840.' * 40}zip") == f"{('1.2.840.' * 40)[:196]}.zip"
+    assert harmless('a<b>c:d"e|f?g*h\x1bi\u202ej\u00a0k') == "a_b_c_d_e_f_g_h_i_j_k"
+
+
 LONG = "\U00020bb7" * 90
 CLASHING = {LONG: b"0", "DICOM": b"1", "DICOM/IM1": b"2", "dicom/IM2": b"3", "a/b/c": b"4", "A/B": b"5", "a/b/d": b"6"}
 
