@@ -136,6 +136,29 @@ def test_an_upload_goes_on_where_it_stopped(served):
     ]
 
 
+def test_uploads_whose_page_is_gone_do_not_stay(root, serve):
+    def left(bench, hours):
+        place = bench.uploads.place(bench.uploads.begin())
+        os.utime(place, (time.time() - 3600.0 * hours,) * 2)
+        return place.name
+
+    def there(bench):
+        return {one.name for one in bench.uploads.folder.iterdir()}
+
+    bench = open_bench(root)
+    young, old = left(bench, 23.0), left(bench, 25.0)
+    assert there(bench) == {old, young}
+    open_bench(root, read_only=True)
+    assert there(bench) == {old, young}
+    open_bench(root)
+    assert there(bench) == {young}
+    old = left(bench, 25.0)
+    names = [bench.uploads.begin() for _ in range(19)]
+    assert there(bench) == {young, *names}
+    last = bench.uploads.begin()
+    assert there(bench) == {*names, last}
+
+
 def test_folders_on_the_machine_are_those_that_were_named(root, serve, tmp_path):
     disc(tmp_path / "exports" / "one")
     (tmp_path / "exports" / ".hidden").mkdir()
