@@ -241,6 +241,26 @@ def test_what_can_not_take_the_place_is_refused_and_changes_nothing(served, girl
         replacing.choose(standing, (), "rest/lateral", None)
 
 
+def test_what_was_said_comes_back_on_a_disk_that_the_new_radiograph_has_filled(served, girl, tmp_path, monkeypatch):
+    before, (asked, _), write_text = content_of(girl), wish(served, tmp_path), marks.write_text
+
+    def smaller(path, data):
+        if path.name == "annotation.json":
+            raise SubjectError(f"{path.name}: can't be written (the disk is full)")
+        write_json(path, data)
+
+    def larger(path, text):
+        if list((girl / "rest").glob(".*.tmp")):
+            raise SubjectError(f"{path.name}: can't be written (the disk is full)")
+        write_text(path, text)
+
+    monkeypatch.setattr(marks, "write_json", smaller)
+    monkeypatch.setattr(marks, "write_text", larger)
+    status, said = served.json("POST", f"/api/subjects/{served.key()}/rest", asked)
+    assert status == 422 and "the disk is full" in said["error"]
+    assert content_of(girl) == before and served.good("GET", "/api/trash")["trash"] == []
+
+
 def test_only_the_file_that_was_looked_at_takes_the_place(served, girl, tmp_path, monkeypatch):
     asked, _ = wish(served, tmp_path)
     served.good("POST", "/api/look", asked)

@@ -194,5 +194,6 @@ def _exchange(folder: Path, image: str, draft: Path, marks: Marks, keep: Callabl
             target.unlink(missing_ok=True)
         elif place is not None and place.exists():
             place.replace(target)
+        draft.unlink(missing_ok=True)  # on a full disk the marks need its room
         put_back(folder, texts)
         raise
