@@ -532,13 +532,18 @@ def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_pa
         )
         assert zipped.read("pushes/a.dcm") == (root / "girl" / "pushes" / "a.dcm").read_bytes()
     values, distance = read_json(root / "girl" / "subject.json"), {"source_detector_mm": 1500.0}
-    write_json(root / "girl" / "subject.json", values | {"xray": {"images": {"push/a": distance}}})
+    write_json(root / "girl" / "subject.json", values | {"mass_kg": 45, "xray": {"images": {"push/a": distance}}})
     bare = packed(nameless=True, burned_in_ok=True)
     (tmp_path / "bare.zip").write_bytes(bare)
     unzip(tmp_path / "bare.zip", tmp_path / "bare", 2**30)
     content = b"".join(path.read_bytes() for path in (tmp_path / "bare").rglob("*") if path.is_file())
     for word in (*CANARY.split("^"), "girl"):
         assert word.encode() not in content
+    told = (tmp_path / "bare" / "README.txt").read_text(encoding="utf-8")
+    kept = read_json(tmp_path / "bare" / "subject.json").keys() - {"schema_version", "id", "pushes", "xray"}
+    assert kept == {"age", "sex", "height_cm", "mass_kg"}
+    for word in kept:
+        assert word.partition("_")[0] in told.lower(), word
     subject, first = read_subject(tmp_path / "bare"), read_subject(root / "girl")
     assert subject.record.id == "subject" and subject.pushes[0].id == "push-1"
     assert read_json(tmp_path / "bare" / "subject.json")["xray"] == {"images": {"push/push-1": distance}}

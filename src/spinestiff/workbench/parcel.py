@@ -172,7 +172,8 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
         content[ANNOTATION_FILE] = json_text({**annotation, "images": marked}).encode()
     lines = [
         "Made by spinestiff: radiographs without their patients, values and annotation under new names.",
-        "Age, sex and height are those of the person. Pixels are unchanged: look for text that is burned in.",
+        "Age, sex, height and, where they are given, mass and sizes of the trunk are those of the person.",
+        "Pixels are unchanged: look for text that is burned in.",
     ]
     lines += [f"Left out: {LEFT_OUT[one]}." for one in sorted(left_out)]
     content[README] = ("\n".join(lines) + "\n").encode()
