@@ -136,11 +136,13 @@ def test_what_another_run_is_at_work_in_is_left_to_it(made):
     place = place_of(cohort.source, cohort.target, "sub-001")
     place.work.mkdir()
     place.task.write_text("{}", encoding="utf-8")
+    half = place.target / ".work.json.0000.tmp"
+    half.touch()
     with sole_run(place.target):
         assert run_one(cohort, 1).up_to_date == ("sub-001",)
-        assert place.work.exists() and place.task.exists()
+        assert place.work.exists() and place.task.exists() and half.exists()
     assert run_one(cohort, 1).up_to_date == ("sub-001",)
-    assert not place.work.exists() and not place.task.exists()
+    assert not place.work.exists() and not place.task.exists() and not half.exists()
 
 
 def test_who_hangs_and_who_takes_all_memory_is_ended(made):
