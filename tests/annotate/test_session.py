@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from threading import Thread
 
 import numpy as np
 import pydicom
@@ -13,7 +14,7 @@ from phantoms import phantom, sixteen_bit
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.draft import Draft, DraftImage, parse_draft
 from spinestiff.annotate.exchange import exported, imported
-from spinestiff.annotate.server import session_record
+from spinestiff.annotate.server import application, session_record
 from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
 from spinestiff.curves.cobb import read_cobb
 from spinestiff.curves.corner_files import read_corners
@@ -151,6 +152,25 @@ def test_two_windows_do_not_overwrite_each_other(session):
     with pytest.raises(ChangedElsewhere, match="another window or program"):
         session.save(draft(rest__frontal=marked("rest/frontal", "T1")), first)
     assert set(session.marks) == set(ALL)
+
+
+def test_a_page_is_given_the_revision_of_its_marks_while_another_saves(session, monkeypatch):
+    session.save(whole(), session.revision)
+    before, dump = session.revision, DraftImage.model_dump
+    other = Thread(target=session.save, args=(draft(rest__frontal=marked("rest/frontal", "T1")), before))
+
+    def meanwhile(image, **how):
+        if not other.ident:
+            other.start()
+            other.join(1.0)
+        return dump(image, **how)
+
+    (page,) = (one.endpoint for one in application(session).routes if getattr(one, "path", "") == "/api/session")
+    monkeypatch.setattr(DraftImage, "model_dump", meanwhile)
+    given = page()
+    other.join()
+    assert (set(given["marks"]), given["revision"]) == (set(ALL), before)
+    assert set(page()["marks"]) == {"rest/frontal"}
 
 
 def test_what_a_page_saved_without_an_answer_it_may_save_again(session):

@@ -136,11 +136,13 @@ def test_what_another_run_is_at_work_in_is_left_to_it(made):
     place = place_of(cohort.source, cohort.target, "sub-001")
     place.work.mkdir()
     place.task.write_text("{}", encoding="utf-8")
+    half = place.target / ".work.json.0000.tmp"
+    half.touch()
     with sole_run(place.target):
         assert run_one(cohort, 1).up_to_date == ("sub-001",)
-        assert place.work.exists() and place.task.exists()
+        assert place.work.exists() and place.task.exists() and half.exists()
     assert run_one(cohort, 1).up_to_date == ("sub-001",)
-    assert not place.work.exists() and not place.task.exists()
+    assert not place.work.exists() and not place.task.exists() and not half.exists()
 
 
 def test_who_hangs_and_who_takes_all_memory_is_ended(made):
@@ -151,6 +153,16 @@ def test_who_hangs_and_who_takes_all_memory_is_ended(made):
     found = run_participants(only, 1, Limits(seconds=100.0, memory_mb=300.0))
     assert found.failed == {"sub-002": "out of memory: took more than 300 MB (--memory)"}
     assert len(last_of(cohort, "sub-002").tries) == 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="as Linux tells memory")
+def test_the_memory_of_a_try_is_not_that_of_whoever_started_it(made):
+    cohort = made(1)
+    held = b"x" * (800 * 2**20)
+    run_participants(cohort, 1)
+    del held
+    (tried,) = last_of(cohort, "sub-001").tries
+    assert 10.0 < tried.peak_mb < 400.0
 
 
 def test_why_the_first_try_failed_is_written_before_the_second(made):

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import stat
+import sys
 
 import pytest
 
@@ -53,6 +54,17 @@ def test_results_and_hidden_files_of_a_given_folder_are_no_inputs(task):
     (place.source / ".draft").write_text("x", encoding="utf-8")
     assert set(input_files(place.source)) == {"subject.json", "rest/frontal.dcm"}
     assert examine(place, one.order).state == "current"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names that are no UTF-8")
+def test_an_input_whose_name_is_no_utf8_is_one_like_others(task):
+    one, place = task
+    odd = place.source / os.fsdecode(b"M\xfcller.txt")
+    odd.write_text("x", encoding="utf-8")
+    make_results(one, silent)
+    assert examine(place, one.order).state == "current" and make_results(one, silent) == "up to date"
+    odd.write_text("y", encoding="utf-8")
+    assert examine(place, one.order).state == "out of date"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links of Unix")

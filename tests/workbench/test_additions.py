@@ -106,6 +106,16 @@ def test_a_new_subject_takes_a_table(served, root, tmp_path):
     assert (push["id"], push["forces_n"], push["d21_mm"]) == ("left-5", [None, 30, None], 400)
 
 
+def test_a_table_calls_files_by_their_names_whatever_signs_are_in_them(served, tmp_path):
+    (tmp_path / "in").mkdir()
+    export(tmp_path / "in" / "rest.dcm", time="101000")
+    export(tmp_path / "in" / "A&P #1.dcm", frames=2, time="102000")
+    look = {"origin": "upload", "key": served.upload_folder(tmp_path / "in")}
+    table = f"{TABLE}\nA&P #1.dcm,1,30,left,5,400,200,training\n"
+    found = served.good("POST", "/api/look", {**look, "table": table})
+    assert {one["name"]: one["use"] for one in found["files"]}["in/A&P #1.dcm"] == "push 1"
+
+
 def test_words_of_the_command_line_do_not_reach_the_page(served, tmp_path):
     for number in range(2):
         export(tmp_path / "in" / f"I{number}", time=None, without=("SeriesInstanceUID",))

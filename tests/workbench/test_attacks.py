@@ -115,6 +115,13 @@ def test_names_of_files_are_no_paths(served, name):
     assert len(inside) == 1 and inside[0].resolve().is_relative_to(place / "files")
 
 
+def test_a_name_that_is_harmless_stays_as_it_is():
+    for name in ("A&P #1 [30 N]~.dcm", "it's/100%; ok!.dcm", "Mu\u0308ller.dcm", f"{'1.2.840.113619.' * 8}zip"):
+        assert harmless(name) == name
+    assert harmless(f"{'1.2.840.' * 40}zip") == f"{('1.2.840.' * 40)[:196]}.zip"
+    assert harmless('a<b>c:d"e|f?g*h\x1bi\u202ej\u00a0k') == "a_b_c_d_e_f_g_h_i_j_k"
+
+
 LONG = "\U00020bb7" * 90
 CLASHING = {LONG: b"0", "DICOM": b"1", "DICOM/IM1": b"2", "dicom/IM2": b"3", "a/b/c": b"4", "A/B": b"5", "a/b/d": b"6"}
 
@@ -253,6 +260,25 @@ def test_zip_files_share_one_limit_however_late_they_come(root, serve):
         assert not (uploads.place(key) / "unpacked" / "1").exists()
 
 
+def test_a_zip_file_whose_unpacking_was_killed_is_unpacked_anew(root, serve, monkeypatch):
+    archive = packed((name, os.urandom(2**20)) for name in "abc")
+    with serve(root, upload_bytes=2 * len(archive) + 2**10) as served:
+        key, uploads, new = served.upload({"a.zip": archive}), served.bench.uploads, Names.new
+
+        def twice(names, name):
+            if name == "c":
+                raise KeyboardInterrupt
+            return new(names, name)
+
+        with monkeypatch.context() as killed:
+            killed.setattr(Names, "new", twice)
+            killed.setattr(unzipping.shutil, "rmtree", lambda *_, **__: None)  # which nobody does who is killed
+            with pytest.raises(KeyboardInterrupt):
+                uploads.whole(key)
+        (_, unpacked) = uploads.whole(key)
+        assert sorted(one.relative_to(unpacked).as_posix() for one in unpacked.rglob("*")) == ["0", "0/a", "0/b", "0/c"]
+
+
 def test_a_zip_file_leaves_room_on_the_disk(served, monkeypatch):
     key = served.upload({"a.zip": packed([("a", os.urandom(3 * 2**20))])})
     free = SPARE_BYTES + 2 * 2**20
@@ -317,6 +343,13 @@ def test_its_own_folder_is_nobody_elses_to_read(root, serve):
     (root / OWN).mkdir(mode=0o755)
     with serve(root):
         assert (root / OWN).stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders of one account")
+def test_a_zip_file_is_nobody_elses_to_read_where_nothing_is_changed(root, serve):
+    with serve(root, read_only=True) as served:
+        served.good("POST", f"/api/subjects/{served.key()}/zip", {"nameless": False})
+        assert served.bench.parcels.folder.stat().st_mode & 0o777 == 0o700
 
 
 def test_many_keys_with_one_twice_are_refused_without_comparing_all():

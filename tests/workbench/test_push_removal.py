@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 
 import pytest
@@ -92,6 +93,36 @@ def test_a_push_goes_with_its_marks_and_comes_back_with_them(served, girl):
     trash = remove(served)[1]["trash"]
     served.good("DELETE", f"/api/trash/{trash}")
     assert (girl / "pushes" / "b.dcm").read_bytes() == before["pushes/b.dcm"]
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from spinestiff.workbench import push_removal
+from spinestiff.workbench.rooms import open_root
+from spinestiff.workbench.trash import Trash
+number, write = int(sys.argv[2]), push_removal.write_changed
+def killed(*given):
+    global number
+    write(*given)
+    number -= 1
+    if number == 0:
+        os._exit(9)
+push_removal.write_changed = killed
+root = open_root(Path(sys.argv[1]))
+Trash(root).remove_push(root.path / "girl", "b")
+"""
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_whoever_is_killed_while_a_push_is_taken_out_loses_nothing(served, girl, number):
+    before = content_of(girl)
+    given = [str(served.bench.root.path), str(number)]
+    assert subprocess.run([sys.executable, "-c", KILLED, *given], check=False).returncode == 9
+    assert content_of(girl) != before
+    (trash,) = served.good("GET", "/api/trash")["trash"]
+    served.good("POST", f"/api/trash/{trash['key']}/restore", {})
+    assert content_of(girl) == before and served.good("GET", "/api/trash")["trash"] == []
 
 
 def test_what_can_not_be_removed_or_put_back_is_said_and_changes_nothing(served, girl, monkeypatch):

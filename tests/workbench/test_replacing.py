@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -239,6 +241,60 @@ def test_what_can_not_take_the_place_is_refused_and_changes_nothing(served, girl
     standing = read_standing(girl)
     with pytest.raises(SubjectError, match=r"has no rest/lateral\.dcm that could be replaced"):
         replacing.choose(standing, (), "rest/lateral", None)
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from spinestiff.workbench import replacing
+from spinestiff.workbench.rooms import open_root
+from spinestiff.workbench.trash import Trash
+number, write = int(sys.argv[4]), replacing.write_changed
+def killed(*given):
+    global number
+    if number == 0:
+        os._exit(9)
+    write(*given)
+    number -= 1
+    if number == 0:
+        os._exit(9)
+replacing.write_changed = killed
+root = open_root(Path(sys.argv[1]))
+Trash(root).replace(root.path / "girl", "rest/frontal", Path(sys.argv[2]), sys.argv[3])
+"""
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_whoever_is_killed_while_pictures_change_places_loses_nothing(served, girl, tmp_path, number):
+    before, _ = content_of(girl), wish(served, tmp_path)
+    source = tmp_path / "new" / "I9"
+    given = [str(served.bench.root.path), str(source), file_digest(source), str(number)]
+    assert subprocess.run([sys.executable, "-c", KILLED, *given], check=False).returncode == 9
+    for draft in (girl / "rest").glob(".*.tmp"):
+        draft.unlink()
+    (trash,) = served.good("GET", "/api/trash")["trash"]
+    served.good("POST", f"/api/trash/{trash['key']}/restore", {})
+    assert content_of(girl) == before
+
+
+def test_what_was_said_comes_back_on_a_disk_that_the_new_radiograph_has_filled(served, girl, tmp_path, monkeypatch):
+    before, (asked, _), write_text = content_of(girl), wish(served, tmp_path), marks.write_text
+
+    def smaller(path, data):
+        if path.name == "annotation.json":
+            raise SubjectError(f"{path.name}: can't be written (the disk is full)")
+        write_json(path, data)
+
+    def larger(path, text):
+        if list((girl / "rest").glob(".*.tmp")):
+            raise SubjectError(f"{path.name}: can't be written (the disk is full)")
+        write_text(path, text)
+
+    monkeypatch.setattr(marks, "write_json", smaller)
+    monkeypatch.setattr(marks, "write_text", larger)
+    status, said = served.json("POST", f"/api/subjects/{served.key()}/rest", asked)
+    assert status == 422 and "the disk is full" in said["error"]
+    assert content_of(girl) == before and served.good("GET", "/api/trash")["trash"] == []
 
 
 def test_only_the_file_that_was_looked_at_takes_the_place(served, girl, tmp_path, monkeypatch):

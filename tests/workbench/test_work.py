@@ -22,6 +22,7 @@ import pytest
 
 from asking import wait_for
 from hospital import disc, export, gauged
+from spinestiff.annotate import session
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.app.plan import wish_of
 from spinestiff.errors import OptionError, SubjectError
@@ -135,6 +136,29 @@ def test_an_upload_goes_on_where_it_stopped(served):
     ]
 
 
+def test_uploads_whose_page_is_gone_do_not_stay(root, serve):
+    def left(bench, hours):
+        place = bench.uploads.place(bench.uploads.begin())
+        os.utime(place, (time.time() - 3600.0 * hours,) * 2)
+        return place.name
+
+    def there(bench):
+        return {one.name for one in bench.uploads.folder.iterdir()}
+
+    bench = open_bench(root)
+    young, old = left(bench, 23.0), left(bench, 25.0)
+    assert there(bench) == {old, young}
+    open_bench(root, read_only=True)
+    assert there(bench) == {old, young}
+    open_bench(root)
+    assert there(bench) == {young}
+    old = left(bench, 25.0)
+    names = [bench.uploads.begin() for _ in range(19)]
+    assert there(bench) == {young, *names}
+    last = bench.uploads.begin()
+    assert there(bench) == {*names, last}
+
+
 def test_folders_on_the_machine_are_those_that_were_named(root, serve, tmp_path):
     disc(tmp_path / "exports" / "one")
     (tmp_path / "exports" / ".hidden").mkdir()
@@ -147,6 +171,17 @@ def test_folders_on_the_machine_are_those_that_were_named(root, serve, tmp_path)
             assert served.ask("POST", "/api/look", {"origin": "source", "key": key})[0] == 404
         asked = {"origin": "source", "key": offered[1]["key"], "name": "new", "person": {}}
         assert served.good("POST", "/api/subjects", asked)["key"] == served.key("new")
+
+
+def test_no_subject_and_no_folder_is_one_too_many(tmp_path):
+    names = [f"{number:04d}" for number in range(2001)]
+    for name in names:
+        (tmp_path / "root" / name).mkdir(parents=True)
+        (tmp_path / "root" / name / "subject.json").touch()
+    bench = open_bench(tmp_path / "root", sources=(tmp_path / "root",))
+    assert [folder.name for _, folder in bench.root.subjects()] == names
+    assert bench.root.subject(bench.root.key_of(names[-1])).name == names[-1]
+    assert [name for _, name, _ in bench.sources.offered()] == ["root", *(f"root/{name}" for name in names)]
 
 
 def test_names_that_are_no_utf8_are_shown_and_hide_nothing(root, serve, tmp_path):
@@ -173,6 +208,11 @@ def test_names_that_are_no_utf8_are_shown_and_hide_nothing(root, serve, tmp_path
         assert served.ask("POST", "/api/look/picture", wide)[0] == 200
         chosen = {**asked, "frontal": files[0]["name"]}
         assert served.good("POST", "/api/look", chosen)["files"][0]["use"] == "rest, frontal"
+        (root / "girl" / f"{latin}.txt").write_text("note", encoding="utf-8")
+        ticket = served.good("POST", f"/api/subjects/{served.key()}/zip", {"nameless": False})["ticket"]
+        _, _, content = served.ask("GET", f"/parcel/{ticket}")
+        with zipfile.ZipFile(io.BytesIO(content)) as zipped:
+            assert zipped.read("M%FCller.txt") == b"note"
 
 
 # The form.
@@ -492,13 +532,18 @@ def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_pa
         )
         assert zipped.read("pushes/a.dcm") == (root / "girl" / "pushes" / "a.dcm").read_bytes()
     values, distance = read_json(root / "girl" / "subject.json"), {"source_detector_mm": 1500.0}
-    write_json(root / "girl" / "subject.json", values | {"xray": {"images": {"push/a": distance}}})
+    write_json(root / "girl" / "subject.json", values | {"mass_kg": 45, "xray": {"images": {"push/a": distance}}})
     bare = packed(nameless=True, burned_in_ok=True)
     (tmp_path / "bare.zip").write_bytes(bare)
     unzip(tmp_path / "bare.zip", tmp_path / "bare", 2**30)
     content = b"".join(path.read_bytes() for path in (tmp_path / "bare").rglob("*") if path.is_file())
     for word in (*CANARY.split("^"), "girl"):
         assert word.encode() not in content
+    told = (tmp_path / "bare" / "README.txt").read_text(encoding="utf-8")
+    kept = read_json(tmp_path / "bare" / "subject.json").keys() - {"schema_version", "id", "pushes", "xray"}
+    assert kept == {"age", "sex", "height_cm", "mass_kg"}
+    for word in kept:
+        assert word.partition("_")[0] in told.lower(), word
     subject, first = read_subject(tmp_path / "bare"), read_subject(root / "girl")
     assert subject.record.id == "subject" and subject.pushes[0].id == "push-1"
     assert read_json(tmp_path / "bare" / "subject.json")["xray"] == {"images": {"push/push-1": distance}}
@@ -640,6 +685,26 @@ def test_what_is_removed_can_be_put_back(served, root):
     assert served.ask("POST", f"/api/trash/{trash}/restore", {})[0] == 422
     served.good("DELETE", f"/api/trash/{trash}")
     assert served.good("GET", "/api/trash")["trash"] == []
+
+
+def test_a_subject_is_not_removed_under_marks_that_are_being_saved(served, root, monkeypatch):
+    page, write = f"/annotate/{served.key()}/api", session.write_json
+    removal = threading.Thread(target=served.bench.trash.remove, args=(root / "girl",))
+
+    def meanwhile(path, data):
+        removal.start()
+        removal.join(1.0)
+        write(path, data)
+
+    revision = served.good("GET", f"{page}/session")["revision"]
+    draft = {"schema_version": 1, "images": {"rest/frontal": {"vertebrae": drawn("rest/frontal").named("T1")}}}
+    monkeypatch.setattr(session, "write_json", meanwhile)
+    served.good("PUT", f"{page}/annotation", {"revision": revision, "draft": draft})
+    removal.join()
+    assert not (root / "girl").exists()
+    (trash,) = served.good("GET", "/api/trash")["trash"]
+    served.good("POST", f"/api/trash/{trash['key']}/restore", {})
+    assert (root / "girl" / "annotation.draft.json").is_file() and (root / "girl" / "subject.json").is_file()
 
 
 def test_a_subject_whose_folder_has_any_name_can_be_put_back(served, root):

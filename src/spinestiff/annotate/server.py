@@ -42,8 +42,10 @@ def application(session: AnnotationSession) -> FastAPI:
 
     @app.get("/api/session")
     def everything() -> dict[str, Any]:
-        session.reload()
-        return session_record(session)
+        # Marks and their revision: a save of another window in between would be overwritten by this one's next.
+        with session.lock:
+            session.reload()
+            return session_record(session)
 
     @app.get("/api/radiograph")
     def radiograph(

@@ -35,19 +35,17 @@ class Account:
 
     def survey(self) -> list[str]:
         """Participants that have to be run, in their order; leftovers of killed runs are taken away."""
-        waiting = []
+        waiting: list[str] = []
         for participant in self._cohort.participants:
             place = place_of(self._cohort.source, self._cohort.target, participant)
-            sweep(place.target)
             recover(place)
             found = examine(place, self._cohort.order)
-            if found.state == "current":
-                self._current.append(participant)
-                # Another run, asked for something else, may be at work in what would be taken away.
-                with suppress(InUseError, OSError), sole_run(place.target):
+            # Another run may be at work in what would be taken away.
+            with suppress(InUseError, OSError), sole_run(place.target):
+                sweep(place.target)
+                if found.state == "current":
                     tidy(place)
-            else:
-                waiting.append(participant)
+            (self._current if found.state == "current" else waiting).append(participant)
             self._say(News(participant, "up to date" if found.state == "current" else "waiting", found.words))
         return waiting
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import file_digest, no_folder, regular_files
+from spinestiff.formats import encodable
 
 RESULTS = "results"
 DONE_FILE = "done.json"
@@ -99,8 +100,11 @@ def input_files(folder: Path) -> dict[str, Path]:
 
 
 def digests_of(files: dict[str, Path]) -> dict[str, str]:
-    """SHA-256 of each file, by the same names. Raises SubjectError if one can't be read."""
-    return {name: file_digest(path) for name, path in sorted(files.items())}
+    """SHA-256 of each file, by the same names as a marker can hold them (``formats.encodable``).
+
+    Raises SubjectError if one can't be read.
+    """
+    return {encodable(name): file_digest(path) for name, path in sorted(files.items())}
 
 
 def sweep(folder: Path) -> None:

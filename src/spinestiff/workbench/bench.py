@@ -65,5 +65,6 @@ def open_bench(
     )
     if not read_only:
         bench.parcels.clear()
+        bench.uploads.clear()
         bench.jobs.table.make()
     return bench

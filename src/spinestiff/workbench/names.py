@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-MOST_PARTS, LONGEST_PART = 12, 80
-MOST_BYTES = 200
-"""Of a part in UTF-8, so that a number and an end still fit into the 255 that file systems take."""
+MOST_PARTS = 12
+MOST_BYTES, LONGEST_END = 200, 16
+"""Of a part in UTF-8, so that a number still fits into the 255 that file systems take, and characters of an ending
+that is kept where the rest is cut: it tells what the file is."""
+_NOWHERE = '<>:"|?*'
+"""What some systems take in no name."""
 _RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
 
 
@@ -56,11 +59,20 @@ def _numbered(first: str, count: int, folder: bool) -> str:
 
 
 def harmless(name: str) -> str:
-    """A relative path of plain parts, close to the name: no ``..``, no root, nothing hidden."""
+    """A relative path of plain parts, close to the name: no ``..``, no root, nothing hidden, nothing unprintable.
+
+    Whatever else stands in a name stays: tables call files by their names.
+    """
     parts = []
     for part in re.split(r"[/\\]", name[:2000]):
-        plain = "".join(c if c.isalnum() or c in " ._-+()^=," else "_" for c in part).strip(" .")[:LONGEST_PART]
-        plain = plain.encode("utf-8", "ignore")[:MOST_BYTES].decode("utf-8", "ignore").rstrip(" .")
+        plain = _short("".join(c if c.isprintable() and c not in _NOWHERE else "_" for c in part).strip(" ."))
         if plain:
             parts.append(f"_{plain}" if _RESERVED.fullmatch(plain) else plain)
     return "/".join(parts[-MOST_PARTS:]) or "file"
+
+
+def _short(part: str) -> str:
+    stem, dot, end = part.rpartition(".")
+    ending = f".{end}" if dot and stem and len(end) < LONGEST_END else ""
+    kept = part.removesuffix(ending).encode()[: MOST_BYTES - len(ending.encode())].decode("utf-8", "ignore")
+    return f"{kept}{ending}".rstrip(" .")

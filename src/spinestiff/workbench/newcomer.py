@@ -24,7 +24,7 @@ from spinestiff.subject.intake.sorting import Sorting, sort_files, uses_of
 from spinestiff.words import counted
 from spinestiff.workbench.rooms import Root
 
-MOST_SOURCES, MOST_LEFT_OUT = 500, 200
+MOST_LEFT_OUT = 200
 LEFT_OUT = "left out"
 """What a radiograph becomes that is of no use."""
 _OPTIONS = (
@@ -213,7 +213,7 @@ class Sources:
         found = []
         for folder in self.folders:
             inside = [one for one in listed(folder, SubjectError) if one.is_dir() and not one.is_symlink()]
-            for place in [folder, *(one for one in inside if not one.name.startswith("."))][:MOST_SOURCES]:
+            for place in [folder, *(one for one in inside if not one.name.startswith("."))]:
                 name = folder.name if place == folder else f"{folder.name}/{place.name}"
                 key = hmac.new(self.root.secret, os.fsencode(place), hashlib.sha256).hexdigest()[:16]
                 found.append((key, name, place))

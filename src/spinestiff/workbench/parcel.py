@@ -22,6 +22,7 @@ from spinestiff.imaging.deidentification.deidentify import deidentify
 from spinestiff.imaging.deidentification.pseudonyms import Key, random_key
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.radiograph import read_scans
+from spinestiff.loopback.asking import sendable
 from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SUBJECT_FILE
@@ -77,7 +78,8 @@ class Parcels:
         if self.folder.is_dir():
             return
         try:
-            self.folder.mkdir(parents=True)
+            # Nobody else's to read, also where a server that changes nothing has not made ``.workbench`` so.
+            self.folder.mkdir(mode=0o700, parents=True)
             self._held.enter_context(sole_run(self.folder))
         except OSError as problem:
             raise SubjectError(f"the zip file can't be made ({trouble(problem)})") from None
@@ -99,11 +101,13 @@ class Parcels:
 def whole_parcel(folder: Path, place: Path) -> Path:
     """All files of a subject, but hidden ones and links, as a zip file in a folder; returns its path.
 
+    Bytes of a name that are no UTF-8 stand in it as the page shows them (``sendable``).
+
     Raises
     ------
     SubjectError : there is no room for it, or it can't be written.
     """
-    return _zipped(place, [(path.relative_to(folder).as_posix(), path) for path in _files(folder)])
+    return _zipped(place, [(sendable(path.relative_to(folder).as_posix()), path) for path in _files(folder)])
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -168,7 +172,8 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
         content[ANNOTATION_FILE] = json_text({**annotation, "images": marked}).encode()
     lines = [
         "Made by spinestiff: radiographs without their patients, values and annotation under new names.",
-        "Age, sex and height are those of the person. Pixels are unchanged: look for text that is burned in.",
+        "Age, sex, height and, where they are given, mass and sizes of the trunk are those of the person.",
+        "Pixels are unchanged: look for text that is burned in.",
     ]
     lines += [f"Left out: {LEFT_OUT[one]}." for one in sorted(left_out)]
     content[README] = ("\n".join(lines) + "\n").encode()

@@ -98,6 +98,9 @@ def remove_push(folder: Path, push: str, keep: Callable[[RemovedPush], object]) 
 def return_push(folder: Path, removed: RemovedPush) -> None:
     """Put a push back where it stood, with its marks.
 
+    Whoever was killed while it was taken out may have left it there without them: then its marks alone come back, but
+    to pictures that have been marked since.
+
     Raises
     ------
     InUseError : a run is at work on the subject.
@@ -107,12 +110,15 @@ def return_push(folder: Path, removed: RemovedPush) -> None:
         texts = texts_of(folder)
         before = contents_of(texts)
         pushes = list(before[SUBJECT_FILE]["pushes"])
-        pushes.insert(removed.position, removed.push)
+        there = removed.push in pushes
+        if not there:
+            pushes.insert(removed.position, removed.push)
         bare = _with_pushes(before, pushes)
         check_open_record(bare[SUBJECT_FILE])
         after = bare
         for image, marks in removed.marks.items():
-            after = joined(after, image, marks)
+            if not there or parted(after, image)[1] == Marks():
+                after = joined(after, image, marks)
         _write_all(folder, texts, (before, bare, after))
 
 

@@ -141,7 +141,8 @@ def _chosen(standing: Standing, export: Export, wish: Wish, image: str) -> Choic
 def exchange(folder: Path, image: str, source: Path, sha256: str, marks: Marks, keep: Callable[[Marks], Path]) -> None:
     """Put a copy of a file in the place of a rest radiograph, with what was marked in it: all of it, or nothing.
 
-    While the pictures change places nothing is marked in either, so that at no time marks of one belong to the other.
+    What was marked in a picture goes after it and before the next one comes, so that at no time marks of one belong to
+    the other, and whoever is killed meanwhile leaves both where they can be put back.
 
     Parameters
     ----------
@@ -184,9 +185,8 @@ def _exchange(folder: Path, image: str, draft: Path, marks: Marks, keep: Callabl
     try:
         if there:
             place = keep(gone)
-        write_changed(folder, before, bare)
-        if place is not None:
             target.rename(place)
+        write_changed(folder, before, bare)
         draft.rename(target)
         write_changed(folder, bare, after)
     except BaseException:
@@ -194,5 +194,6 @@ def _exchange(folder: Path, image: str, draft: Path, marks: Marks, keep: Callabl
             target.unlink(missing_ok=True)
         elif place is not None and place.exists():
             place.replace(target)
+        draft.unlink(missing_ok=True)  # on a full disk the marks need its room
         put_back(folder, texts)
         raise

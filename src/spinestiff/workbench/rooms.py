@@ -21,7 +21,6 @@ OWN = ".workbench"
 """Folder of the workbench's own files, beside the subjects."""
 KEY = r"[0-9a-f]{16}"
 """Of subjects, uploads, jobs and what lies in the trash."""
-MOST_SUBJECTS = 2000
 SPARE_BYTES = 500 * 2**20
 """Of the disk, that uploads and zip files leave free."""
 
@@ -54,14 +53,10 @@ class Root:
 
     def subjects(self) -> Iterator[tuple[str, Path]]:
         """Key and folder of each subject, in the order of names; links are no subjects, wherever they lead."""
-        count = 0
         for folder in listed(self.path, SubjectError):
-            if folder.name.startswith(".") or folder.is_symlink() or not os.path.lexists(folder / SUBJECT_FILE):
-                continue
-            count += 1
-            if count > MOST_SUBJECTS:
-                return
-            yield self.key_of(folder.name), folder
+            hidden = folder.name.startswith(".") or folder.is_symlink()
+            if not hidden and os.path.lexists(folder / SUBJECT_FILE):
+                yield self.key_of(folder.name), folder
 
     def subject(self, key: str) -> Path:
         """The folder of a subject. Raises NotThere."""

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from spinestiff.annotate.session import writing
 from spinestiff.errors import NotThere, RadiographError, SpinestiffError, SubjectError
 from spinestiff.files import file_digest, listed, read_json, trouble, write_json
 from spinestiff.imaging.dicom.export import read_exported
@@ -52,7 +53,8 @@ class Trash:
         ------
         InUseError : a run is at work on it. SubjectError : it can't be moved.
         """
-        with sole_run(folder):
+        # Marks that are being saved are written before, or not at all: they would make the folder anew.
+        with sole_run(folder), writing(folder):
             key = secrets.token_hex(8)
             place = self.folder / key
             try:

@@ -48,17 +48,24 @@ def unzip(archive: Path, target: Path, most_bytes: int) -> int:
     """Unpack a zip file into a new folder; returns the bytes that were written.
 
     What its headers promise is not trusted: bytes are counted as they come. Folders, links and zip files inside are
-    not followed. A file that is refused leaves nothing behind.
+    not followed. The folder is there once all is; a file that is refused leaves nothing behind, and what a process that
+    was killed has left is taken away by the next try.
 
     Raises
     ------
     SubjectError : no zip file, damaged or encrypted, packed by a method that is not read; too many files, or too large;
         what is in it can't be written.
     """
+    draft = target.with_name(f".{target.name}")
     try:
-        return _unzip(archive, target, most_bytes)
+        if draft.is_dir():
+            shutil.rmtree(draft)
+        draft.mkdir(parents=True)
+        written = _unzip(archive, draft, most_bytes)
+        draft.rename(target)
+        return written
     except BaseException as problem:
-        shutil.rmtree(target, ignore_errors=True)
+        shutil.rmtree(draft, ignore_errors=True)
         if not isinstance(problem, _DAMAGED):
             raise
         if isinstance(problem, OSError) and problem.errno not in (None, errno.EINVAL):  # a place that is none: damaged

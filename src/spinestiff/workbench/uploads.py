@@ -6,6 +6,7 @@ import re
 import secrets
 import shutil
 import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from spinestiff.workbench.unzip import unzip
 
 LARGEST_PIECE = 2 * 2**20
 MOST_UPLOADS = 20
+LEFT_S = 24 * 3600.0
+"""Seconds since files of an upload were last told, after which its page is gone."""
 FILES, UNPACKED = "files", "unpacked"
 
 
@@ -38,16 +41,24 @@ class Uploads:
         self._lists: dict[str, list[dict[str, Any]]] = {}
 
     def begin(self) -> str:
-        """A new upload's name. Raises SubjectError where there are too many."""
+        """A new upload's name."""
         with self._lock:
-            there = sorted(self.folder.iterdir(), key=lambda one: one.stat().st_mtime) if self.folder.is_dir() else []
-            if len(there) >= MOST_UPLOADS:
-                # The oldest was left behind by a page that is gone.
-                self.discard(there[0].name)
+            self.clear(MOST_UPLOADS - 1)
             name = secrets.token_hex(8)
             (self.folder / name / FILES).mkdir(parents=True)
             self._put(name, [])
             return name
+
+    def clear(self, most: int = MOST_UPLOADS) -> None:
+        """Forget what pages that are gone have left: uploads older than ``LEFT_S``, and of more than ``most`` the
+        oldest."""
+        with self._lock:
+            folders = [one for one in self.folder.glob("*") if re.fullmatch(KEY, one.name) and one.is_dir()]
+            there = sorted((one.stat().st_mtime, one.name) for one in folders)
+            late = time.time() - LEFT_S
+            for number, (told, name) in enumerate(there):
+                if told < late or number < len(there) - most:
+                    self.discard(name)
 
     def place(self, name: str) -> Path:
         """The folder of an upload. Raises NotThere."""
@@ -156,5 +167,6 @@ class Uploads:
         return place.stat().st_size if place.is_file() else 0
 
 
-def _bytes_in(folder: Path) -> int:
-    return sum(one.stat().st_size for one in folder.rglob("*") if one.is_file())
+def _bytes_in(unpacked: Path) -> int:
+    """Of what was unpacked whole; what a process that was killed has left is hidden, and goes before the next try."""
+    return sum(one.stat().st_size for one in unpacked.glob("[0-9]*/**/*") if one.is_file())
