@@ -12,6 +12,7 @@ import sys
 import pytest
 
 from spinestiff.cohort.asked import Cohort
+from spinestiff.cohort.lock import participant_lock
 from spinestiff.cohort.marker import examine, whole_results
 from spinestiff.cohort.overview import write_overview
 from spinestiff.cohort.places import input_files
@@ -20,7 +21,6 @@ from spinestiff.cohort.supervisor import run_participants
 from spinestiff.cohort.worker import as_given, ended, make_results, recover, runner_of
 from spinestiff.errors import FitError, InUseError, SubjectError
 from spinestiff.files import file_digest, write_text
-from spinestiff.subject.lock import sole_run
 
 
 def silent(_):
@@ -28,7 +28,8 @@ def silent(_):
 
 
 def names(folder):
-    return sorted(path.name for path in folder.iterdir())
+    """What lies there beside the file that a run holds."""
+    return sorted(path.name for path in folder.iterdir() if path.name != "participant.lock")
 
 
 def test_results_are_published_with_their_marker_and_inputs_are_only_read(task):
@@ -199,7 +200,7 @@ def replaced(task, monkeypatch):
 def test_results_killed_between_two_renamings_are_found_by_whoever_looks(replaced):
     one, place, before = replaced
     new = file_digest(place.work / "results")
-    with sole_run(place.target):
+    with participant_lock(place):
         recover(place)
     assert not place.results.exists()
     lines = write_overview(place.source.parent, place.target.parent, (one.participant,))
@@ -292,8 +293,23 @@ def test_a_participant_in_use_is_waited_for_and_then_named(task, monkeypatch):
     one, place = task
     monkeypatch.setattr("spinestiff.cohort.worker.LONGEST_WAIT_S", 0.3)
     place.target.mkdir(parents=True)
-    with sole_run(place.target), pytest.raises(InUseError, match="another run of spinestiff is at work here"):
+    with participant_lock(place), pytest.raises(InUseError, match="another run of spinestiff is at work here"):
         make_results(one, silent)
+    assert make_results(one, silent) == "done"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks of Unix")
+def test_a_participant_is_held_by_a_file_opened_for_writing(task, monkeypatch):
+    """That one file systems of several machines lock for all of them, a folder for one machine alone."""
+    import fcntl
+
+    one, place = task
+    monkeypatch.setattr("spinestiff.cohort.worker.LONGEST_WAIT_S", 0.1)
+    place.target.mkdir(parents=True)
+    with open(place.target / "participant.lock", "w", encoding="utf-8") as elsewhere:
+        fcntl.flock(elsewhere, fcntl.LOCK_EX)
+        with pytest.raises(InUseError, match="another run of spinestiff is at work here"):
+            make_results(one, silent)
     assert make_results(one, silent) == "done"
 
 

@@ -2,8 +2,9 @@
 
 ``OUT/<participant>/`` holds ``results`` (published whole, with the marker ``done.json`` inside), ``work`` (the private
 folder of a run, there only until its results are published), ``logs`` (a log of each run in which a step ran; beside
-the results, since the same inputs give the same results), ``last.json`` and ``log.txt`` (how the last run went) and
-``aside-<n>`` (what was found in the place of results and is none).
+the results, since the same inputs give the same results), ``last.json`` and ``log.txt`` (how the last run went),
+``participant.lock`` (empty, locked by the run at work) and ``aside-<n>`` (what was found in the place of results and is
+none).
 """
 
 from __future__ import annotations
@@ -69,6 +70,11 @@ class Place:
     def last(self) -> Path:
         """How the last run went."""
         return self.target / "last.json"
+
+    @property
+    def lock(self) -> Path:
+        """The file that a run at work holds."""
+        return self.target / "participant.lock"
 
     @property
     def logs(self) -> Path:
