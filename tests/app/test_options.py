@@ -99,6 +99,24 @@ def test_an_underscore_makes_no_number(spinestiff, tmp_path, monkeypatch, words,
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("words", "option"), NUMBERS + WHOLE_NUMBERS)
+def test_what_is_no_number_is_named_with_its_option(spinestiff, tmp_path, monkeypatch, words, option):
+    monkeypatch.chdir(tmp_path)
+    settings = tmp_path.with_suffix(".toml")
+    whole = (words, option) in WHOLE_NUMBERS
+    number = "a whole number, in digits" if whole else "a number"
+    wanted = {"80,5": f"{number} (a decimal point, no comma)", "many": number}
+    if whole:
+        wanted |= {"1.5": number, "1e3": number}
+    for text, words_of_it in wanted.items():
+        settings.write_text(f"[{'.'.join(words)}]\n{option[2:]} = '{text}'\n", encoding="utf-8")
+        for given in ((option, text), (f"{option}={text}",), ("--settings", settings)):
+            result = spinestiff(*words, *ARGUMENTS.get(words, ()), *given)
+            assert (result.status, result.out) == (2, "")
+            assert result.lines == [f"spinestiff: {option} {text}: wanted {words_of_it}"]
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("words", "option", "text", "wanted"),
     [

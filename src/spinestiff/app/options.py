@@ -46,7 +46,9 @@ def _check_within(given: str, value: float, unit: str, limits: Limits, above: bo
 
 
 def check_plain(command: Any, texts: Mapping[str, Any]) -> None:
-    """Raise OptionError for a number of a command's option that is written as Python alone takes it: with underscores.
+    """Raise OptionError for what a command's option takes for a number and is none.
+
+    Nor is one what Python alone takes: with underscores.
 
     Parameters
     ----------
@@ -55,8 +57,24 @@ def check_plain(command: Any, texts: Mapping[str, Any]) -> None:
     hints = get_type_hints(command.callback)
     for param in command.params:
         text, hint = texts.get(param.name), hints.get(param.name)
-        if {int, float} & {hint, *get_args(hint)} and isinstance(text, str) and "_" in text:
-            raise OptionError(f"{param.opts[0]} {text[:40]}: wanted a number, without underscores")
+        kinds = {int, float} & {hint, *get_args(hint)}
+        if not kinds or not isinstance(text, str):
+            continue
+        given = f"{param.opts[0]} {text[:40]}"
+        if "_" in text:
+            raise OptionError(f"{given}: wanted a number, without underscores")
+        if not _is_number(text, whole=float not in kinds):
+            wanted = "a number" if float in kinds else "a whole number, in digits"
+            raise OptionError(f"{given}: wanted {wanted}{' (a decimal point, no comma)' if ',' in text else ''}")
+
+
+def _is_number(text: str, whole: bool) -> bool:
+    """Also NaN and infinity where it need not be whole: limits refuse them."""
+    try:
+        number = float(text)
+    except ValueError:
+        return False
+    return not whole or (number.is_integer() and "e" not in text.casefold())
 
 
 def by_picture(option: str, texts: Sequence[str], limits: Limits) -> dict[str, float]:

@@ -27,8 +27,8 @@ def settings_option(context: typer.Context, path: Path | None) -> Path | None:
 
     Raises
     ------
-    OptionError : the file can't be read, is no TOML, or names a command or an option that there is not; a number in
-        quotes with an underscore in it.
+    OptionError : the file can't be read, is no TOML, or names a command or an option that there is not; what
+        stands in quotes for a number is none, or has an underscore in it.
     """
     if path is not None and not context.resilient_parsing:
         root = context.find_root()

@@ -33,7 +33,7 @@ class PlainNumbers(TyperCommand):
 
     Raises
     ------
-    OptionError : a number on the command line with an underscore in it.
+    OptionError : a number on the command line that is none, or has an underscore in it.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
