@@ -272,6 +272,9 @@ def test_pictures_that_do_not_fit_are_refused(folder, record) -> None:
     (folder / "empty").mkdir()
     with pytest.raises(SubjectError, match=r"phantom\.json: no such file; write it as docs/bench-phantom\.md shows"):
         read_phantom(folder / "empty")
+    (folder / "corners.csv").unlink()
+    with pytest.raises(SubjectError, match=r"corners\.csv: no such file; write it as docs/bench-phantom\.md shows"):
+        read_phantom(folder)
     with pytest.raises(SubjectError, match=r"corners.csv: rest: corners in mm; wanted pixels"):
         analyse(record, [replace(image, unit="mm") for image in seen])
 

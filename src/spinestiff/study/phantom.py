@@ -180,8 +180,9 @@ def read_phantom(folder: str | Path) -> tuple[PhantomRecord, tuple[ImageCorners,
     folder = Path(folder)
     if not folder.is_dir():
         raise SubjectError(f"{folder}: {no_folder(folder)}; wanted one with {PHANTOM_FILE} and {CORNERS_FILE}")
-    if not os.path.lexists(folder / PHANTOM_FILE):
-        raise SubjectError(f"{folder / PHANTOM_FILE}: no such file; write it as {PAGE} shows")
+    for name in (PHANTOM_FILE, CORNERS_FILE):
+        if not os.path.lexists(folder / name):
+            raise SubjectError(f"{folder / name}: no such file; write it as {PAGE} shows")
     record = read_record(folder / PHANTOM_FILE, PhantomRecord, PAGE)
     images = read_corners(folder / CORNERS_FILE)
     known = {image.image: image for image in images}
