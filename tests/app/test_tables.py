@@ -81,7 +81,7 @@ def test_estimate(printed):
     """Digits as the interval leaves them, open ends as such, and how far each is determined."""
     text = printed(tables.estimate_table(estimate()))
     assert "Estimate: weakly determined" in text
-    assert row_of(text, "ratio: lateral_bending")[1:] == ["0.102", "0.095 to 0.11", "determined"]
+    assert row_of(text, "ratio: lateral_bending")[1:] == ["0.102", "0.0952 to 0.110", "determined"]
     assert row_of(text, "ratio: tissue")[1:] == ["≤ 0.005", "≤ 0.005 to 0.012", "weakly determined, at bound"]
     assert row_of(text, "lateral bending of a thoracic level")[1:] == ["12.3", "11 to 13", "N m/rad"]
     assert row_of(text, "Young's modulus")[1:] == ["3.2", "kPa"]
@@ -256,7 +256,7 @@ def test_tables_fit_eighty_characters_without_losing_a_character(printed, push):
     angle = "12.1° ± 14.4° (T10–L3, endplates, right-convex)"
     change = "−23.7° ± 16.3° (T10–T11 to T12–L3)"
     shown = [
-        (tables.estimate_table(estimate()), ("0.095 to 0.11", "≤ 0.005 to 0.012")),
+        (tables.estimate_table(estimate()), ("0.0952 to 0.110", "≤ 0.005 to 0.012")),
         (tables.assessment_table([HeldOutFrame.model_validate(frame)]), ("12.35", "-17.0", "120")),
         (tables.frames_table([proposal]), ("12.3, -1.2°", "0.98", "validation", "training")),
         (tables.cobb_table([(f"{push} frame 12, 120 N", angle, *[change] * 3)]), ("12.1° ± 14.4°", "−23.7° ± 16.3°")),
