@@ -521,6 +521,11 @@ def test_every_picture_is_described_and_lies_beside_the_page(visit: Visit, page:
     alts = pictures(page)
     assert len(alts) == page.tags.count("svg") == 13
     assert all(len(alt) > 40 for alt in alts)
+    # The first picture is of the frame before the push, which is another one than that of the other two.
+    assert [re.findall(r"push “main”, frame \d, \d+ N[^.]*\.", alt) for alt in alts[:3]] == [
+        ["push “main”, frame 0, 0 N."],
+        *[["push “main”, frame 2, 60 N from the patient’s left."]] * 2,
+    ]
     files = sorted(path.name for path in visit.file("figures").iterdir())
     assert len(files) == 13
     # Those of the first page stand there without their names.
