@@ -181,17 +181,18 @@ def bending_line(estimate: Estimate) -> dict[str, Any] | None:
     if not _of_several(found) and (found.ratio or "").partition(AT)[0] not in BENDING:
         return None
     low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
-    value = found.value
+    value, told = found.value, estimated(found)
     known = found.low is not None or found.high is not None
     overlap = known and (found.low is None or found.low <= high) and (found.high is None or found.high >= low)
     factor, verdict = None, "within the range of"
     if not low <= value <= high:
         middle = 0.5 * (low + high)
         factor = max(value / middle, middle / value)
-        verdict = f"about {number(factor, 2)} times {'softer' if value < low else 'stiffer'} than"
+        size = "at least" if told.startswith("≤" if value < low else "≥") else "about"
+        verdict = f"{size} {number(factor, 2)} times {'softer' if value < low else 'stiffer'} than"
     return {
-        "value": estimated(found),
-        "per_degree": number(value * np.pi / 180.0, 2),
+        "value": told,
+        "per_degree": estimated(found.scaled(np.pi / 180.0)),
         "band": f"{BENDING_BAND[0]:g} to {BENDING_BAND[1]:g}",
         "band_rad": f"{low:.0f} to {high:.0f}",
         "verdict": verdict,
