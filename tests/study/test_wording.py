@@ -130,6 +130,10 @@ def test_the_headline_is_in_plain_units_as_far_as_there_are_some():
     # A ratio of a part is told itself where the rest of the stiffness stays at its default, which then has no interval.
     part = rotation.replace("axial rotation of the spine", "lateral bending of the spine, lumbar")
     assert told(("lateral_bending@lumbar", "tissue"), tissue_young=(closed, "tissue")) == [line, part]
+    # A ratio of a part beside its whole's is relative to that one.
+    beside = ("tissue", "axial_rotation", "axial_rotation@lumbar")
+    lumbar = rotation.replace("spine:", "spine, lumbar:").replace(times, "times the ratio of the whole")
+    assert told(beside, tissue_young=(closed, "tissue")) == [line, rotation, lumbar]
     assert "not fixed by the radiographs" in told(("tissue",), "not determined", tissue_young=(closed, "tissue"))[0]
 
 

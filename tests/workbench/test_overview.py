@@ -18,7 +18,7 @@ from spinestiff.study.repeat_words import repeatability_lines
 from spinestiff.study.repeatability import estimate_of, repeatability
 from spinestiff.study.report.clinician import stiffness
 from spinestiff.study.visit import open_visit
-from spinestiff.study.wording import RATIO_TITLES, TIMES_DEFAULT, told_stiffness
+from spinestiff.study.wording import RATIO_TITLES, TIMES_DEFAULT, TIMES_WHOLE, told_stiffness
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.outcomes import Responses
@@ -117,6 +117,9 @@ def test_cells_say_what_is_open_and_are_no_formulas():
     assert first["subject"] == "'=cmd()" and first["changed_since"] == "values: pushes; annotation: rest"
     assert (first["tissue_ratio"], first["tissue_ratio_low95"], first["tissue_ratio_high95"]) == ("0.5", "0.4", "")
     assert first["tissue_ratio_open"] == "high" and first["age"] == "13.0"
+    part = {**STIFFNESS, "name": "axial_rotation@lumbar", "unit": TIMES_WHOLE}
+    (row,) = rows_of(overview_csv([{**cards[0], "result": {"badge": "determined", "stiffness": [part]}}]))
+    assert row["axial_rotation@lumbar_ratio"] == "0.5"
     for row in (bare, broken):
         assert {value for name, value in row.items() if name not in ("subject", "state")} == {""}
 

@@ -157,7 +157,18 @@ IN_PLAIN_UNITS = {
     "tissue_young": ("tissue", "everything"),
 }
 """Ratios, of all or of a part of the torso, that scale these."""
-TIMES_DEFAULT = "times the default stiffness"
+TIMES_DEFAULT, TIMES_WHOLE = "times the default stiffness", "times the ratio of the whole"
+
+
+def is_beside_whole(name: str, parameters: Sequence[str]) -> bool:
+    """Whether a ratio is of a part whose whole has one among ``parameters``, too: then it is relative to that one."""
+    whole = name.partition(AT)[0]
+    return name != whole and whole in parameters
+
+
+def ratio_unit(name: str, parameters: Sequence[str]) -> str:
+    """What a ratio, one of ``parameters``, counts in."""
+    return TIMES_WHOLE if is_beside_whole(name, parameters) else TIMES_DEFAULT
 
 
 def ratio_title(name: str) -> str:
@@ -202,7 +213,10 @@ def told_stiffness(estimate: Estimate) -> list[tuple[str, Quantity, str, Determi
         for stem in IN_PLAIN_UNITS[key]
     }
     alone = [name for name in estimate.parameters if name not in told and name.partition(AT)[0] not in together]
-    return lines + [(name, estimate.ratios[name], TIMES_DEFAULT, _of_ratio(estimate, name)) for name in alone]
+    return lines + [
+        (name, estimate.ratios[name], ratio_unit(name, estimate.parameters), _of_ratio(estimate, name))
+        for name in alone
+    ]
 
 
 def _of_ratio(estimate: Estimate, name: str | None) -> Determination | None:

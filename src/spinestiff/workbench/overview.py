@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from spinestiff.curves.corner_csv import FORMULA
-from spinestiff.study.wording import TIMES_DEFAULT
+from spinestiff.study.wording import TIMES_DEFAULT, TIMES_WHOLE
 
 COLUMNS = ("subject", "id", "state", "changed_since", "sex", "age", "height_cm", "pushes", "result")
 ENDS = ("", "_low95", "_high95", "_open")
@@ -40,7 +40,7 @@ def overview_csv(cards: Sequence[dict[str, Any]]) -> str:
 
 
 def _unit(unit: str) -> str:
-    return "ratio" if unit == TIMES_DEFAULT else unit.replace(" ", "").replace("/", "_per_")
+    return "ratio" if unit in (TIMES_DEFAULT, TIMES_WHOLE) else unit.replace(" ", "").replace("/", "_per_")
 
 
 def _stiffness(one: dict[str, Any] | None) -> list[Any]:

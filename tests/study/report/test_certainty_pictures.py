@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,7 +40,9 @@ def test_a_profile_shades_its_interval_from_end_to_end():
     assert np.allclose(marks(axis, "o", FIT), [[[0.1, 0.0]]])
     truth = marks(axis, "*", TRUTH)[0][0]
     assert truth == pytest.approx([0.2, 8.0 * np.log10(2.0) ** 2], rel=0.02)
-    assert axis.get_ylim() == (0.0, HIGHEST * 1.92)
+    assert axis.get_ylim() == (0.0, HIGHEST * 1.92) and axis.get_xlabel() == "ratio to the default"
+    (axis,) = draw_profiles([replace(curve, to="that of the whole")]).axes
+    assert axis.get_xlabel() == "ratio to that of the whole"
 
 
 @pytest.mark.parametrize("truth", [0.012, 0.9, 3.0])

@@ -143,6 +143,23 @@ def test_an_interval_that_is_not_there_reaches_no_cadaver_segments(ends, reaches
     assert line is not None and line["overlap"] == reaches
 
 
+@pytest.mark.parametrize(
+    ("value", "opens", "told"),
+    [
+        (20.0, "", ("20", "0.35", "about 4.4 times softer than")),
+        (0.25, "low", ("≤ 0.25", "≤ 0.0044", "at least 360 times softer than")),
+        (500.0, "high", ("≥ 500", "≥ 8.7", "at least 5.6 times stiffer than")),
+    ],
+)
+def test_a_value_at_an_open_end_is_compared_as_a_bound(value: float, opens: str, told: tuple[str, str, str]) -> None:
+    ends = {"low": value if opens == "low" else value / 2.0, "high": value if opens == "high" else 2.0 * value}
+    found = PlainStiffness(
+        value=value, **ends, open_low=opens == "low", open_high=opens == "high", unit="N m/rad", ratio="lateral_bending"
+    )
+    line = bending_line(SimpleNamespace(plain={"lateral_bending_thoracic": found}))
+    assert line is not None and (line["value"], line["per_degree"], line["verdict"]) == told
+
+
 def test_long_lists_and_long_items_are_cut_and_say_so() -> None:
     items = [f"item {i}" for i in range(MOST_DOUBTS + 2)]
     shown = shortened(items, MOST_DOUBTS)

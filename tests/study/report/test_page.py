@@ -34,7 +34,7 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.predictions import Model, predict, stored, write_solved
 from spinestiff.study.report import page as report
 from spinestiff.study.report import pictures as drawing
-from spinestiff.study.report.estimate_content import _strip, budget_bars, certainty_content
+from spinestiff.study.report.estimate_content import _strip, budget_bars, certainty_content, result_content
 from spinestiff.study.report.page import write_report
 from spinestiff.study.report.viewer.page import script_hash
 from spinestiff.study.sensitivity import force_percent
@@ -44,7 +44,7 @@ from spinestiff.study.visit import Visit, load_pushes, open_visit
 from spinestiff.study.wording import response_texts
 from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
-from spinestiff.subject.estimate_outcome import BudgetRecord, Estimate, RatioEstimate
+from spinestiff.subject.estimate_outcome import BudgetRecord, Estimate, PlainStiffness, RatioEstimate
 from spinestiff.subject.folder import write_annotation, write_subject
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import OutcomeFile, ViewRecord
@@ -521,6 +521,11 @@ def test_every_picture_is_described_and_lies_beside_the_page(visit: Visit, page:
     alts = pictures(page)
     assert len(alts) == page.tags.count("svg") == 13
     assert all(len(alt) > 40 for alt in alts)
+    # The first picture is of the frame before the push, which is another one than that of the other two.
+    assert [re.findall(r"push “main”, frame \d, \d+ N[^.]*\.", alt) for alt in alts[:3]] == [
+        ["push “main”, frame 0, 0 N."],
+        *[["push “main”, frame 2, 60 N from the patient’s left."]] * 2,
+    ]
     files = sorted(path.name for path in visit.file("figures").iterdir())
     assert len(files) == 13
     # Those of the first page stand there without their names.
@@ -970,6 +975,25 @@ def test_the_torso_is_drawn_where_it_is_reached_and_on_paper(visit: Visit, html:
         assert {address for address in tab.requests if not address.startswith("data:")} == {page.as_uri()}
     # The same picture as a page of its own.
     assert f"Torso of {visit.subject.record.id}" in visit.file("view.html").read_text(encoding="utf-8")
+
+
+def test_a_ratio_of_a_part_beside_its_whole_is_no_ratio_to_the_default():
+    names = ("lateral_bending", "lateral_bending@lumbar")
+    entry = RatioEstimate.of(1.8, (1.1, 2.9), (False, False), False)
+    scaled = {"lateral_bending_thoracic": names[0], "lateral_bending_lumbar": None, "tissue_young": None}
+    plain = {
+        key: PlainStiffness(value=20.0, low=12.0, high=33.0, unit="N m/rad", ratio=ratio)
+        for key, ratio in scaled.items()
+    }
+    estimate = SimpleNamespace(
+        parameters=names, ratios=dict.fromkeys(names, entry), plain=plain, bounds=(0.0025, 5.0), method="weighed",
+        status="CONVERGED", fit_status="CONVERGED", determined="determined", failed=(), best_known=None, notes=(),
+        intervals="linear", held={}, data_sd_log={},
+    )  # fmt: skip
+    whole, part = result_content(SimpleNamespace(truth=None), estimate, SimpleNamespace(notes=()))["ratios"]
+    assert (whole["unit"], whole["of_whole"]) == ("N m/rad", False)
+    assert (part["unit"], part["of_whole"]) == ("times the ratio of the whole", True)
+    assert part["words"] == "1.8 {0}, between 1.1 and 2.9 {0} (95 %)".format(part["unit"])
 
 
 def test_published_ratios_stand_only_beside_the_ratio_they_are_of():

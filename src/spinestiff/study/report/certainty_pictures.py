@@ -27,7 +27,7 @@ class ProfileCurve:
     title : of the ratio, in words.
     curve : (n, 2) ratio and rise of the negative log likelihood.
     limit : the rise at which a 95 % interval ends. ends : of the interval.
-    estimate, truth : ratios; None = not known.
+    estimate, truth : ratios; None = not known. to : what they are ratios to.
     """
 
     title: str
@@ -36,6 +36,7 @@ class ProfileCurve:
     ends: tuple[float | None, float | None]
     estimate: float
     truth: float | None = None
+    to: str = "the default"
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def _draw_profile(axis: Axes, profile: ProfileCurve) -> None:
     axis.set_ylim(0.0, top)
     plain_ticks(axis, "x")
     axis.set_title(profile.title, fontsize=11)
-    axis.set_xlabel("ratio to the default")
+    axis.set_xlabel(f"ratio to {profile.to}")
 
 
 def draw_support_places(frames: Sequence[str], places: Mapping[str, Sequence[SupportPlace]]) -> Figure:

@@ -22,9 +22,11 @@ from spinestiff.study.report.clinician import other_ends, picture_words
 from spinestiff.study.report.figures import MEASURED_ON_DARK, PERCENTILES, SIMULATED_ON_DARK, STYLE, WHITE_ON_DARK
 from spinestiff.study.report.frame_content import expected_change
 from spinestiff.study.report.placing import pixel_mm, push_arrow, sides_of
+from spinestiff.study.trials import PushTrial
 from spinestiff.study.visit import Visit
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.outcomes import Responses
+from spinestiff.subject.records import PushRecord
 
 HEIGHT = 5.2  # inches
 MARGIN_MM = (75.0, 14.0)
@@ -108,12 +110,22 @@ def moments(
         simulated = np.asarray(view.pixels(found[vertebra_rows(torso, after)]))
         pictures.append(SpinePicture(film[item.frame], common, simulated, measured, *shared, arrow))
         captions.append(_predicted(predictions, frame, assessment))
-    where = f"push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N from the patient’s {record.side}"
-    names = ("at-rest", "pushed", "predicted")
     return [
-        (name, figure, f"Radiograph with vertebrae and the lines of the Cobb angle, {where}. {caption}", caption)
-        for name, figure, caption in zip(names, draw_spines(pictures), captions)
+        (
+            name,
+            figure,
+            f"Radiograph with vertebrae and the lines of the Cobb angle, {_where(of, record)}. {caption}",
+            caption,
+        )
+        for name, of, figure, caption in zip(
+            ("at-rest", "pushed", "predicted"), (start, item, item), draw_spines(pictures), captions
+        )
     ]
+
+
+def _where(item: PushTrial, push: PushRecord) -> str:
+    side = f" from the patient’s {push.side}" if item.force_n > 0.0 else ""
+    return f"push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N{side}"
 
 
 def _chosen(predictions: Predictions) -> Prediction | None:

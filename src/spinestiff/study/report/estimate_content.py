@@ -24,7 +24,6 @@ from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
     MISSING,
-    TIMES_DEFAULT,
     UNMEASURABLE,
     badge,
     best_known_text,
@@ -35,10 +34,12 @@ from spinestiff.study.wording import (
     has_intervals,
     held_lines,
     interval,
+    is_beside_whole,
     most_costly,
     moved_sd,
     number,
     ratio_title,
+    ratio_unit,
     short_span,
     span_in_words,
     unknown_title,
@@ -102,13 +103,15 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
         own = [key for key in PLAIN_TITLES if estimate.plain[key].ratio == name]
         key = own[0] if own else ""
         chief: Quantity = estimate.plain[key] if key else ratio
+        unit = estimate.plain[key].unit if key else ratio_unit(name, estimate.parameters)
         ratios.append(
             {
                 "title": ratio_title(name),
                 "big": short_span(chief, ratio.determined),
-                "unit": getattr(chief, "unit", TIMES_DEFAULT),
+                "unit": unit,
                 "what": PLAIN_TITLES.get(key, ""),
-                "words": span_in_words(chief, getattr(chief, "unit", TIMES_DEFAULT), ratio.determined),
+                "words": span_in_words(chief, unit, ratio.determined),
+                "of_whole": is_beside_whole(name, estimate.parameters),
                 "value": estimated(ratio),
                 "interval": interval(ratio),
                 "determined": ratio.determined if has_intervals(estimate) else "",
@@ -181,17 +184,18 @@ def bending_line(estimate: Estimate) -> dict[str, Any] | None:
     if not _of_several(found) and (found.ratio or "").partition(AT)[0] not in BENDING:
         return None
     low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
-    value = found.value
+    value, told = found.value, estimated(found)
     known = found.low is not None or found.high is not None
     overlap = known and (found.low is None or found.low <= high) and (found.high is None or found.high >= low)
     factor, verdict = None, "within the range of"
     if not low <= value <= high:
         middle = 0.5 * (low + high)
         factor = max(value / middle, middle / value)
-        verdict = f"about {number(factor, 2)} times {'softer' if value < low else 'stiffer'} than"
+        size = "at least" if told.startswith("≤" if value < low else "≥") else "about"
+        verdict = f"{size} {number(factor, 2)} times {'softer' if value < low else 'stiffer'} than"
     return {
-        "value": estimated(found),
-        "per_degree": number(value * np.pi / 180.0, 2),
+        "value": told,
+        "per_degree": estimated(found.scaled(np.pi / 180.0)),
         "band": f"{BENDING_BAND[0]:g} to {BENDING_BAND[1]:g}",
         "band_rad": f"{low:.0f} to {high:.0f}",
         "verdict": verdict,

@@ -44,7 +44,7 @@ from spinestiff.study.report.tornado_picture import draw_tornado
 from spinestiff.study.sensitivity_words import largest, tornado_rows
 from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import listed, number, ratio_title, within_a_sentence
+from spinestiff.study.wording import is_beside_whole, listed, number, ratio_title, within_a_sentence
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import image_corners, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
@@ -251,7 +251,8 @@ def profile_picture(visit: Visit, estimate: Estimate) -> Drawn:
         curve = np.column_stack([found.ratio, found.rise])
         ends = (ratio.low, ratio.high)
         limit = estimate.interval_rise or 0.0
-        curves.append(ProfileCurve(ratio_title(name), curve, limit, ends, ratio.value, truth.get(name)))
+        to = "that of the whole" if is_beside_whole(name, estimate.parameters) else "the default"
+        curves.append(ProfileCurve(ratio_title(name), curve, limit, ends, ratio.value, truth.get(name), to))
     alt = "Profile of the likelihood along " + listed(within_a_sentence(curve.title) for curve in curves) + "."
     caption = (
         "How much less likely other values of a ratio are, with all else at its most probable there. The 95 % interval "
