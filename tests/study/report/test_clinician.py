@@ -24,7 +24,7 @@ from spinestiff.study.report.clinician import (
 )
 from spinestiff.study.report.estimate_content import bending_line
 from spinestiff.study.visit import Visit, open_visit
-from spinestiff.study.wording import told_stiffness
+from spinestiff.study.wording import factor95, told_stiffness
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness
 from spinestiff.subject.outcome_parts import Determination, Quantity
@@ -227,6 +227,8 @@ def test_what_is_worth_measuring_is_told_where_it_helps(finished) -> None:
     assert told.startswith(
         "measure the trunk’s breadth and depth: soft tissue of the trunk would be known within a factor of"
     )
+    # As if it were then known exactly, which no measurement makes it.
+    assert told.endswith(f" at best, in place of {factor95(asked.sd_log['tissue'])}")
     nothing = asked.model_copy(update={"budget": still})
     assert not [line for line in next_lines(visit, nothing) if "would be known" in line]
 

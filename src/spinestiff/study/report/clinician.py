@@ -255,7 +255,8 @@ def next_lines(visit: Visit, estimate: Estimate) -> list[str]:
 
 
 def _worth_measuring(estimate: Estimate, name: str) -> str:
-    """What somebody can measure that makes a ratio known clearly better; nothing where it is determined."""
+    """What somebody can measure that makes a ratio known clearly better, and how well it would be known if the
+    measurement were exact; nothing where it is determined."""
     rows = [row for row in estimate.budget if row.name in ADVICE]
     best = min(rows, key=lambda row: row.without[name], default=None)
     now = estimate.sd_log.get(name, 0.0)
@@ -263,7 +264,7 @@ def _worth_measuring(estimate: Estimate, name: str) -> str:
         return ""
     return (
         f"{ADVICE[best.name]}: {within_a_sentence(ratio_title(name))} would be known within a factor of "
-        f"{factor95(best.without[name])} in place of {factor95(now)}"
+        f"{factor95(best.without[name])} at best, in place of {factor95(now)}"
     )
 
 
