@@ -46,6 +46,26 @@ def test_zero_distances_and_a_magnification_of_one_mean_unknown(file):
         view_of(file(DistanceSourceToPatient=None, DistanceSourceToDetector="0"))
 
 
+def test_a_digital_radiograph_tells_the_distance_of_its_support_not_of_the_spine(file):
+    """PS3.3 C.8.11.5: to the table or bucky; the magnification of such a file is that of the same place."""
+    spine = Geometry(source_patient_mm=1280.0)
+    view, provenance = view_of(file(EstimatedRadiographicMagnificationFactor=f"{M:.4f}"), spine)
+    assert (view.source_to_detector, view.source_to_patient) == (1500.0, 1280.0)
+    assert provenance["source to patient"].startswith("given source_patient_mm, since DistanceSourceToPatient 1340 mm")
+    assert view_of(file())[0].source_to_patient == 1340.0
+    # As near as the file's it is the file's; behind the support, or farther before it than a trunk, is no spine.
+    assert view_of(file(), Geometry(source_patient_mm=1330.0))[0].source_to_patient == 1340.0
+    for wrong in (1400.0, 1000.0):
+        with pytest.raises(RadiographError, match=f"found 1340 mm, wanted {wrong:g} mm to 1 %"):
+            view_of(file(), Geometry(source_patient_mm=wrong))
+    with pytest.raises(RadiographError, match=r"MagnificationFactor: found 1\.2, wanted 1\.119"):
+        view_of(file(EstimatedRadiographicMagnificationFactor="1.2"), spine)
+    # Of fluoroscopy the standard has no such support.
+    series = file(np.zeros((2, 40, 36), np.uint16))
+    with pytest.raises(RadiographError, match="found 1340 mm, wanted 1280 mm to 1 %"):
+        read_radiographs(series, geometry=spine)
+
+
 def test_spacing_without_a_plane_is_not_used_but_does_no_harm(file):
     view, provenance = view_of(file(PixelSpacing=["0.1", "0.1"]))
     np.testing.assert_array_equal(view.pixel_spacing, [0.4, 0.4])

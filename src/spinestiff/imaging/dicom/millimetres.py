@@ -24,6 +24,8 @@ AGREEMENT = 0.01
 """Relative difference up to which two statements of the same quantity agree."""
 AGREEMENT_OF_CALIBRATION = 0.05
 """The same where one was calibrated on an object, whose plane is that of the patient only nearly."""
+DEEPEST_MM = 300.0
+"""By how much a spine may be nearer to the source than the table or bucky at which the patient is."""
 FEWEST_PIXELS = 20.0
 """Length in the image below which a known length says too little: an end half a pixel off is 5 %."""
 
@@ -50,7 +52,8 @@ class Scale:
 
 @dataclass(frozen=True)
 class Geometry:
-    """What a file may lack; a value that contradicts the file by more than 1 % is refused.
+    """What a file may lack; a value that contradicts the file by more than 1 % is refused, but for the distance of a
+    spine before the table or bucky of a digital radiograph (``_before_support``).
 
     Attributes
     ----------
@@ -102,7 +105,9 @@ def distances(tags: Tags, given: Geometry) -> Distances:
     """
     detector = _distance("DistanceSourceToDetector", tags.source_detector, "source_detector_mm",
                          given.source_detector_mm)  # fmt: skip
-    patient = _distance("DistanceSourceToPatient", tags.source_patient, "source_patient_mm", given.source_patient_mm)
+    spine = _before_support(tags, given)
+    patient = _distance("DistanceSourceToPatient", tags.source_patient, "source_patient_mm",
+                        given.source_patient_mm if spine is None else None)  # fmt: skip
     factors = _magnifications(tags)
     if detector is not None and patient is None and factors:
         factor, words = factors[0]
@@ -110,6 +115,10 @@ def distances(tags: Tags, given: Geometry) -> Distances:
     elif detector is None and patient is not None and factors:
         factor, words = factors[0]
         detector = patient[0] * factor, f"source to patient times {words} {factor:.4g}"
+    support = patient
+    if spine is not None and support is not None:
+        words = f"since DistanceSourceToPatient {support[0]:g} mm of such a file is that of table or bucky"
+        patient = spine, f"given source_patient_mm, {words}"
     if detector is None or patient is None:
         lacking = [(f"no {keyword}" if tag is None else f"{keyword} is 0", key) for keyword, tag, key, known in (
             ("DistanceSourceToDetector", tags.source_detector, "xray.source_detector_mm", detector),
@@ -132,9 +141,10 @@ def distances(tags: Tags, given: Geometry) -> Distances:
         )
     for factor, words in factors:
         most = AGREEMENT if words == _ESTIMATED else AGREEMENT_OF_CALIBRATION
-        if abs(factor / found.magnification - 1.0) > most:
+        wanted = found.detector / support[0] if support and words == _ESTIMATED else found.magnification
+        if abs(factor / wanted - 1.0) > most:
             raise RadiographError(
-                f"{words}: found {factor:.4g}, wanted {found.magnification:.4g} as the distances say "
+                f"{words}: found {factor:.4g}, wanted {wanted:.4g} as the distances say "
                 f"({found.sources[0]}, {found.sources[1]}); correct what is wrong"
             )
     return found
@@ -159,6 +169,15 @@ def _magnifications(tags: Tags) -> list[tuple[float, str]]:
                 f"{words}: found {factor:.4g}, wanted 1 to {LARGEST_MAGNIFICATION:g}; correct it at the source"
             )
     return found
+
+
+def _before_support(tags: Tags, given: Geometry) -> float | None:
+    """The given distance source to patient of a digital radiograph, where a spine may be there before what the file's
+    own is that of: by PS3.3 C.8.11.5 the side of table or bucky next to the patient. Else None."""
+    told, spine = tags.source_patient, given.source_patient_mm
+    if told is None or spine is None or not tags.image_type.startswith("Digital X-Ray"):
+        return None
+    return spine if spine >= SOURCE_MM[0] and AGREEMENT * told < told - spine <= DEEPEST_MM else None
 
 
 def _distance(keyword: str, tag: float | None, key: str, given: float | None) -> tuple[float, str] | None:
