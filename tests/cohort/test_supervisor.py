@@ -17,13 +17,14 @@ from spinestiff.cohort.account import Account
 from spinestiff.cohort.asked import Cohort, Limits, silent
 from spinestiff.cohort.group import read_members
 from spinestiff.cohort.ledger import read_last
-from spinestiff.cohort.lock import cohort_lock, participant_lock
+from spinestiff.cohort.lock import cohort_lock
 from spinestiff.cohort.marker import whole_results
 from spinestiff.cohort.places import place_of
 from spinestiff.cohort.processes import worker_environment
 from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.errors import InUseError, OptionError, SubjectError
 from spinestiff.files import file_digest
+from spinestiff.subject.lock import sole_run
 
 PARENT = """
 import sys
@@ -137,7 +138,7 @@ def test_what_another_run_is_at_work_in_is_left_to_it(made):
     place.task.write_text("{}", encoding="utf-8")
     half = place.target / ".work.json.0000.tmp"
     half.touch()
-    with participant_lock(place):
+    with sole_run(place.target, place.lock):
         assert run_one(cohort, 1).up_to_date == ("sub-001",)
         assert place.work.exists() and place.task.exists() and half.exists()
     assert run_one(cohort, 1).up_to_date == ("sub-001",)
@@ -320,7 +321,7 @@ def test_the_log_of_another_run_at_the_same_participant_is_left_alone(made):
             first.close()  # its end, for which the second one waits
 
     with ExitStack() as first:
-        first.enter_context(participant_lock(place))
+        first.enter_context(sole_run(place.target, place.lock))
         found = run_one(cohort, 1, news=waits)
     assert found.failed == {"sub-001": "crashed: ValueError: no such thing"}
     assert seen[0] == "of the first run\n"

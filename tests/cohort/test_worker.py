@@ -12,7 +12,6 @@ import sys
 import pytest
 
 from spinestiff.cohort.asked import Cohort
-from spinestiff.cohort.lock import participant_lock
 from spinestiff.cohort.marker import examine, whole_results
 from spinestiff.cohort.overview import write_overview
 from spinestiff.cohort.places import input_files
@@ -21,6 +20,7 @@ from spinestiff.cohort.supervisor import run_participants
 from spinestiff.cohort.worker import as_given, ended, make_results, recover, runner_of
 from spinestiff.errors import FitError, InUseError, SubjectError
 from spinestiff.files import file_digest, write_text
+from spinestiff.subject.lock import sole_run
 
 
 def silent(_):
@@ -200,7 +200,7 @@ def replaced(task, monkeypatch):
 def test_results_killed_between_two_renamings_are_found_by_whoever_looks(replaced):
     one, place, before = replaced
     new = file_digest(place.work / "results")
-    with participant_lock(place):
+    with sole_run(place.target, place.lock):
         recover(place)
     assert not place.results.exists()
     lines = write_overview(place.source.parent, place.target.parent, (one.participant,))
@@ -293,7 +293,10 @@ def test_a_participant_in_use_is_waited_for_and_then_named(task, monkeypatch):
     one, place = task
     monkeypatch.setattr("spinestiff.cohort.worker.LONGEST_WAIT_S", 0.3)
     place.target.mkdir(parents=True)
-    with participant_lock(place), pytest.raises(InUseError, match="another run of spinestiff is at work here"):
+    with (
+        sole_run(place.target, place.lock),
+        pytest.raises(InUseError, match="another run of spinestiff is at work here"),
+    ):
         make_results(one, silent)
     assert make_results(one, silent) == "done"
 

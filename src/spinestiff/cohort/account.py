@@ -11,11 +11,11 @@ from contextlib import suppress
 
 from spinestiff.cohort.asked import Cohort, News, OnNews, Summary
 from spinestiff.cohort.ledger import Ledger, Try, write_last
-from spinestiff.cohort.lock import participant_lock
 from spinestiff.cohort.marker import examine
 from spinestiff.cohort.places import place_of, sweep
 from spinestiff.cohort.worker import ended, recover, tidy
 from spinestiff.errors import InUseError, SubjectError
+from spinestiff.subject.lock import sole_run
 
 MOST_TRIES = 2
 """Of a participant in one run; a refusal of its inputs is not tried again, since they stay the same."""
@@ -41,7 +41,7 @@ class Account:
             recover(place)
             found = examine(place, self._cohort.order)
             # Another run may be at work in what would be taken away.
-            with suppress(InUseError, OSError), participant_lock(place):
+            with suppress(InUseError, OSError), sole_run(place.target, place.lock):
                 sweep(place.target)
                 if found.state == "current":
                     tidy(place)

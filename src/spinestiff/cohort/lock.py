@@ -1,8 +1,7 @@
 """One run at a time on a cohort's output, or many that each take a participant of their own.
 
-The locks are the system's: each is free as soon as its owner has ended, however that came about, and the next run takes
-it over. They are on files opened for writing, which file systems of several machines (NFS) lock for all of them; a
-folder they lock on each machine by itself. That on a cohort says in its file who holds it.
+The lock is the system's, on a file that says who holds it: it is free as soon as its owner has ended, however that
+came about, and the next run takes it over.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from spinestiff.cohort.places import LOCK_FILE, Place
+from spinestiff.cohort.places import LOCK_FILE
 from spinestiff.errors import InUseError, SubjectError
 from spinestiff.files import trouble
 
@@ -47,35 +46,6 @@ def cohort_lock(target: Path, shared: bool = False) -> Iterator[None]:
             _take(target, held, shared)
         if not shared:
             _sign(target, held)
-        yield
-    finally:
-        os.close(held)
-
-
-@contextmanager
-def participant_lock(place: Place) -> Iterator[None]:
-    """Hold a participant's outputs, whose folder is there, for one run.
-
-    On Windows, and on file systems without locks, nothing is held.
-
-    Raises
-    ------
-    InUseError : another run holds them.
-    OSError : nothing can be written there.
-    """
-    if os.name == "nt":
-        yield
-        return
-    import fcntl
-
-    held = os.open(place.lock, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InUseError(f"{place.target}: another run of spinestiff is at work here; wait for its end") from None
-        except OSError:
-            pass  # a file system without locks
         yield
     finally:
         os.close(held)

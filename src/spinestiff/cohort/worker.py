@@ -27,13 +27,13 @@ from typing import Any, Literal, cast
 
 from pydantic import ValidationError
 
-from spinestiff.cohort.lock import participant_lock
 from spinestiff.cohort.marker import CohortRecord, Marker, Order, digest_of, examine, whole_results
 from spinestiff.cohort.places import DONE_FILE, RESULTS, ROW_FILE, Place, digests_of, input_files, place_of
 from spinestiff.errors import InUseError, SpinestiffError, SubjectError
 from spinestiff.files import read_text, regular_files, trouble, write_json
 from spinestiff.formats import parse_json
 from spinestiff.observer import Observer
+from spinestiff.subject.lock import sole_run
 
 End = Literal["done", "up to date", "refused", "crashed", "out of memory", "no room", "in use"]
 Runner = Callable[[Path, str, dict[str, Any], Observer], None]
@@ -104,7 +104,7 @@ def _alone(place: Place) -> Iterator[None]:
     with ExitStack() as held:
         while True:
             try:
-                held.enter_context(participant_lock(place))
+                held.enter_context(sole_run(place.target, place.lock))
                 break
             except InUseError:
                 if time.monotonic() > latest:
@@ -126,7 +126,7 @@ def recover(place: Place) -> None:
     """Have results stand that a run was just replacing when it was killed; not where another run is at work."""
     with suppress(OSError, InUseError):
         if place.before.exists():
-            with participant_lock(place):
+            with sole_run(place.target, place.lock):
                 _finish_replacing(place)
 
 
