@@ -217,11 +217,16 @@ def test_the_module_runs_as_a_program(tmp_path):
     assert missing.stderr == wanted
 
 
-@pytest.mark.parametrize("arguments", [("fly",), ("run",), ("run", "--fast", "x"), ("synth", "x", "--seed", "few")])
+@pytest.mark.parametrize("arguments", [("fly",), ("run",), ("run", "--fast", "x")])
 def test_wrong_usage_ends_with_2(spinestiff, arguments):
     result = spinestiff(*arguments)
     assert result.status == 2
     assert "Error: " in result.lines[-1]
+
+
+def test_a_number_that_is_none_ends_with_2_in_one_line(spinestiff):
+    result = spinestiff("synth", "x", "--seed", "few")
+    assert (result.status, result.lines) == (2, ["spinestiff: --seed few: wanted a whole number, in digits"])
 
 
 # What goes well
