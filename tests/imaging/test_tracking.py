@@ -153,6 +153,14 @@ def test_single_vertebrae_gaps_and_one_marked_twice_are_followed(marked):
     assert errors_mm(found, truth[:, marked]).max() < 0.3
 
 
+def test_a_picture_stored_twice_shows_its_corners_at_the_same_places():
+    """By which an estimate finds it (``study.judgement.forces.copies``)."""
+    frames, truth = sequence(8.0, 3)
+    found = track([frames[0], frames[1], frames[1], frames[2]], {0: corners(truth[0])})
+    assert np.abs(found[1].corners - found[2].corners).max() < 1e-4
+    assert np.abs(found[2].corners - found[3].corners).max() > 0.1
+
+
 def test_errors_do_not_add_up():
     """Eleven frames there and back: each is registered on the first one."""
     poses = [pushed_poses(rest_poses(10), 12.0 * min(k, 10 - k)) for k in range(11)]

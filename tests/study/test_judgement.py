@@ -135,7 +135,7 @@ def scaled(corners, factor):
 def test_a_sound_subject_passes_every_check(sound):
     checks = sound.checks()
     assert [check for check in checks if not check.passed] == []
-    assert len({check.name for check in checks}) == len(checks) == 15
+    assert len({check.name for check in checks}) == len(checks) == 16
     assert all("\n" not in check.text and "look for" not in check.text for check in checks)
     # All is far from its limit here, so that a mix-up below is found for what it is.
     assert sound.check("rest and push").value < 0.25 * LIMITS.rest_mm
@@ -263,7 +263,8 @@ def back_again(sound, forces, shown):
 )
 def test_creep_between_frames_of_the_same_force(sound, forces, shown, said):
     case = back_again(sound, forces, shown)
-    assert set(case.doubts()) == {"same force, same bending"}
+    # The frames of the way back are copies here, which is told, too.
+    assert case.doubts().keys() - {"frames of their own"} == {"same force, same bending"}
     check = case.check("same force, same bending")
     assert check.text.startswith(f"push 'main': {said}")
     assert "look for creep between the frames or friction on the way back" in check.text
@@ -293,6 +294,28 @@ def test_forces_that_only_grow_have_nothing_to_be_held_against(sound):
 def test_forces_in_reverse_order(sound):
     doubts = sound.with_push(forces_n=FORCES[::-1]).doubts()
     assert "forces in reverse order" in doubts["motion along the push"]
+
+
+@pytest.mark.parametrize("off", [0.0, 0.001, 0.01])
+def test_a_frame_that_is_a_copy_of_another_one(sound, off):
+    corners = [sound.tracked.corners(i) for i in range(len(FORCES))]
+    same = corners[2].corners + np.random.default_rng(3).normal(0.0, off, (17, 4, 2))
+    quality = np.where(np.arange(17)[:, None] < 5, 0.0, corners[2].quality)
+    corners[1] = replace(corners[2], corners=same, quality=quality)
+    case = replace(sound, tracked=TrackedPush.of(sound.tracked.view.view(), corners))
+    text = case.check("frames of their own").text
+    if off == 0.01:
+        assert text == "push 'main': no two frames of different force show the same"
+    else:
+        where = f"frames 1 and 2, at {FORCES[1]:g} and {FORCES[2]:g} N, show all corners at the same places"
+        assert text.startswith(f"push 'main': {where} (limit 0.002); look for a picture stored twice")
+
+
+def test_copies_under_the_same_force_say_nothing_wrong(sound):
+    corners = [sound.tracked.corners(i) for i in (0, 1, 2, 2)]
+    case = replace(sound, tracked=TrackedPush.of(sound.tracked.view.view(), corners))
+    assert not case.with_push(forces_n=(0.0, 20.0, 40.0, 40.0)).check("frames of their own").text.startswith("not")
+    assert case.with_push(forces_n=(0.0, 20.0, 40.0, 40.0)).check("frames of their own").passed
 
 
 def test_the_wrong_side(sound):

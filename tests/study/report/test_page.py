@@ -761,7 +761,8 @@ def odd_html(visit: Visit, tmp_path_factory: pytest.TempPathFactory) -> str:
 
     def beaten(content: dict) -> None:
         for frame in content["frames"]:
-            frame["rmse_mm"] |= {"truth": 0.5, "fitted_supports": 0.6, "extrapolation": 1.0, "fit": 2.5}
+            simple = {"truth": 0.5, "fitted_supports": 0.6, "extrapolation": 1.0}
+            frame["rmse_mm"] |= simple | {"fit": 2.5, "forecast": 2.0}
         content["frames"][0]["rmse_mm"]["single_ratio"] = 1.0004
 
     def named(content: dict) -> None:
@@ -785,6 +786,8 @@ def test_best_predictor_is_marked_and_an_oracle_never_is(odd_html: str) -> None:
 def test_a_better_simple_predictor_is_owned_up_to(odd_html: str, page: Page) -> None:
     simple = "A simpler predictor does better: “No model: training motion scaled by force”, 1.00 mm."
     assert simple in Page(odd_html).words
+    corrected = "corner error is 2.00 mm (2.50 mm without the errors that the training frames show)"
+    assert corrected in Page(odd_html).words
     assert "A simpler predictor" not in page.words
 
 

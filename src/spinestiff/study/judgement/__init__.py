@@ -15,7 +15,7 @@ import numpy as np
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.imaging.dicom.identity import Identity
 from spinestiff.study.judgement.fitted_motion import residuals_expected, training_frames
-from spinestiff.study.judgement.forces import bending, direction, force_scale, growth, repeated
+from spinestiff.study.judgement.forces import bending, copies, direction, force_scale, growth, repeated
 from spinestiff.study.judgement.identity import identity
 from spinestiff.study.judgement.limits import LIMITS, Limits
 from spinestiff.study.judgement.rest_and_push import unloaded
@@ -60,7 +60,7 @@ def judge_inputs(
         mine = [trial for trial in pushes.trials if trial.push == push.id]
         bent = bending(pushes, mine)
         found += [growth(push, bent, limits), *repeated(push, bent, limits)]
-        found.append(direction(pushes, push, mine, limits))
+        found += [direction(pushes, push, mine, limits), copies(push, mine, limits)]
     found += [length(record, shape, limits), sizes(record, shape, limits), *rest_pictures(shape, limits)]
     sd = float(np.clip(shape.corner_sd_mm, limits.least_sd_mm, limits.most_sd_mm))
     for push in record.pushes:

@@ -89,6 +89,28 @@ def repeated(push: PushRecord, bending: Sequence[tuple[PushTrial, float]], limit
     )
 
 
+def copies(push: PushRecord, trials: Sequence[PushTrial], limits: Limits) -> Check:
+    """Whether frames of different force are pictures of their own: two exposures never show the very same corners."""
+    name, apart = "frames of their own", []
+    for one, other in combinations(trials, 2):
+        names = tuple(n for n in one.trial.corners.vertebrae if n in other.trial.corners.vertebrae)
+        if names and one.force_n != other.force_n:
+            here, there = (trial.trial.corners.selected(names) for trial in (one, other))
+            both = here.usable & there.usable
+            apart.append((rms((here.corners - there.corners)[both]), one, other))
+    if not apart:
+        return impossible(name, f"push '{push.id}' has no two usable frames of different force with a vertebra in both")
+    least, one, other = min(apart, key=lambda found: found[0])
+    found = f"push '{push.id}': no two frames of different force show the same"
+    if least <= limits.same_mm:
+        found = (
+            f"push '{push.id}': frames {one.frame} and {other.frame}, at {one.force_n:g} and {other.force_n:g} N, show "
+            "all corners at the same places"
+        )
+    causes = "a picture stored twice, as fluoroscopes do between two exposures, or one exported in the other's place"
+    return check(name, found, least, limits.same_mm, least > limits.same_mm, causes)
+
+
 def bending(pushes: PushSet, trials: Sequence[PushTrial]) -> list[tuple[PushTrial, float]]:
     """The frames of a push and how far, mm, the spine bent in each from that of least force, along the largest bending.
 

@@ -33,6 +33,7 @@ class Limits:
     fall_mm, fall_share : by which the bending may fall from one frame to one of more force, or differ between two of
         the same: absolute, and as a share of the greatest bending of the push.
     against_mm : by which a spine may move against the push.
+    same_mm : of the corners of two frames, RMS in the picture: so little is between copies of one picture alone.
     p_value : of the fit's residuals, if all errors are as expected.
     """
 
@@ -57,6 +58,7 @@ class Limits:
     fall_mm: float = 0.2
     fall_share: float = 0.03
     against_mm: float = 1.0
+    same_mm: float = 0.002
     p_value: float = 1e-3
 
     def rest_limit(self, sd: float) -> float:

@@ -239,7 +239,7 @@ def _of_prediction(assessment: Assessment) -> list[str]:
         than = "better" if found["verdict"] == "worse" else "as well"
         return [
             f"a simpler predictor does {than} on the test radiographs (“{found['rival']}”, {found['rival_error']} mm; "
-            f"the estimate {found['fit']} mm): this proves no stiffness"
+            f"the estimate {found['predicted']} mm): this proves no stiffness"
         ]
     return []
 

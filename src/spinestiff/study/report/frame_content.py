@@ -40,7 +40,10 @@ def response_content(responses: Responses) -> dict[str, Any]:
 
 
 def comparison_content(assessment: Assessment) -> dict[str, Any]:
-    """Mean errors over the held-out frames, and what the estimate is worth beside the best simpler predictor."""
+    """Mean errors over the held-out frames, and what the estimate is worth beside the best simpler predictor.
+
+    The estimate's prediction is the forecast; where no forecast could be made, the model's state alone.
+    """
     means = {}
     for name in PREDICTORS:
         values = [frame.rmse_mm.get(name) for frame in assessment.frames]
@@ -48,13 +51,15 @@ def comparison_content(assessment: Assessment) -> dict[str, Any]:
             means[name] = float(np.mean([value for value in values if value is not None]))
     rivals = {name: value for name, value in means.items() if name not in ("fit", "forecast", *INFORMED)}
     best = min(rivals, key=lambda name: rivals[name]) if rivals else ""
+    predicted = means.get("forecast", means.get("fit"))
     verdict = ""
-    if best and "fit" in means:
-        difference = means["fit"] - rivals[best]
+    if best and predicted is not None:
+        difference = predicted - rivals[best]
         verdict = "equal" if abs(difference) < EQUAL_MM else "worse" if difference > 0.0 else "better"
     return {
         "frames": len(assessment.frames),
-        "fit": fixed(means["fit"], 2) if "fit" in means else "",
+        "predicted": "" if predicted is None else fixed(predicted, 2),
+        "uncorrected": fixed(means["fit"], 2) if {"fit", "forecast"} <= means.keys() else "",
         "default": fixed(means["default"], 2) if "default" in means else "",
         "verdict": verdict,
         "rival": PREDICTORS.get(best, ""),
