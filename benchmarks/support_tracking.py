@@ -85,7 +85,7 @@ def measured(torso: TorsoModel, case: Case) -> Floats:
         push = rib_push(torso, "right", case.level, case.force * float(share))
         state = problem.with_place(place).solve(push, ratios, state).require().state
         states.append(state)
-    gauge = Gauge(push.points, np.array([1.0, 0.0, 0.0]))
+    gauge = Gauge(push.points, push.forces)
     pictures = acquire(torso, states, view, Acquisition(), person=case.seed, seed=case.seed, gauge=gauge)
     frames = [Radiograph(picture.astype(np.float32), view) for picture in pictures]
     random, rest = np.random.default_rng(case.seed), torso.rest_pose

@@ -142,7 +142,7 @@ def modelled(case: Case) -> Moving:
         state = problem.solve(rib_push(torso, side, case.level, case.force_n * share), ratios, state).require().state
         states.append(_turned(state, np.deg2rad(case.yaw_deg) * share))
     push = rib_push(torso, side, case.level, case.force_n)
-    gauge = Gauge(push.points, push.forces.sum(axis=0) / np.linalg.norm(push.forces.sum(axis=0)))
+    gauge = Gauge(push.points, push.forces)
     covered = case.frames // 2 if case.covered_mm else case.frames
     blades = [Collimation(top=case.top_mm), Collimation(top=case.top_mm, bottom=case.covered_mm)]
     pictures: list[np.ndarray] = []

@@ -44,7 +44,7 @@ def main(path: Path) -> None:
     load = rib_push(torso, "left", 8.5, 60.0)
     ratios = stiffness_ratios({"lateral_bending": 0.1, "tissue": 0.02})
     pushed = EquilibriumProblem(torso, three_point_supports(torso, "left")).solve(load, ratios, rest).require().state
-    gauge = Gauge(load.points, load.forces.sum(axis=0))
+    gauge = Gauge(load.points, load.forces)
     person, collimated = 2, Acquisition(collimation=BLADES)
     frontal, lateral = frontal_view(centre=centre), lateral_view(centre=centre)
     (front,) = acquire(torso, [rest], frontal, person=person, seed=1)

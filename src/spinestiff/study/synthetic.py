@@ -245,7 +245,7 @@ class _Acquisition:
     def push(self, push: SyntheticPush, states: list[TorsoState], supports: Supports) -> None:
         view = self._standing(self._nominal(frontal_view))
         load = rib_push(self.torso, self.side_of(push), push.level, 1.0)
-        gauge = Gauge(load.points, load.forces.sum(axis=0))
+        gauge = Gauge(load.points, load.forces)
         pixels = self._radiographs(states, view, self.recipe.acquisition, self._drawn_seed(), gauge)
         path = self.folder / "pushes" / f"{push.id}.dcm"
         self._write(path, pixels, view, ("L", "F"), f"push {push.id}")

@@ -22,6 +22,7 @@ from spinestiff.imaging.synthetic.detector import AIR_GREY, Exposure
 from spinestiff.imaging.synthetic.gauge import PAD_RADIUS, gauge_pad
 from spinestiff.imaging.synthetic.materials import Material
 from spinestiff.imaging.synthetic.path_length import path_length
+from spinestiff.mechanics.loads import rib_push
 
 VIEW = frontal_view(shape=(200, 200), pixel=2.1)
 STILL = Acquisition(breathing=None, gas=0.0, bowel_motion=0.0, exposure_drift=0.0, samples=1)
@@ -125,7 +126,7 @@ def test_bubbles_are_air_inside_the_belly_and_move(torso: TorsoModel) -> None:
 
 
 def test_the_pad_lies_outside_the_skin_and_moves_with_the_rib(torso: TorsoModel) -> None:
-    points, push = push_points(torso), np.array([-1.0, 0.0, 0.0])
+    points, push = push_points(torso), np.array([[-1.0, 0.0, 0.0]])
     rest = torso.rest_pose
     cushion, plate, rod = gauge_pad(torso, rest, points, push)
     rib = points.positions(rest)[0]
@@ -143,6 +144,14 @@ def test_the_pad_lies_outside_the_skin_and_moves_with_the_rib(torso: TorsoModel)
     picture, without = frames(torso, gauge=Gauge(points, push))[0], frames(torso)[0]
     column, row = np.rint(VIEW.pixels(VIEW.project(plate.vertices.mean(axis=0)))).astype(int)
     assert picture[row, column] > without[row, column] + 1000.0
+
+
+@pytest.mark.parametrize(("level", "share"), [(8.0, 0.0), (8.25, 0.25), (8.5, 0.5)])
+def test_the_pad_lies_where_the_force_acts(torso: TorsoModel, level: float, share: float) -> None:
+    load, rest = rib_push(torso, "left", level, 40.0), torso.rest_pose
+    upper, lower = load.points.positions(rest)[:, 1]
+    plate = gauge_pad(torso, rest, load.points, load.forces)[1]
+    assert plate.vertices[:, 1].mean() == pytest.approx(upper + share * (lower - upper))
 
 
 def test_nothing_but_scatter_comes_behind_the_blades(torso: TorsoModel) -> None:

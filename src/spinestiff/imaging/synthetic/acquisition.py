@@ -66,10 +66,10 @@ LATERAL = Exposure(kvp=88.0, photons=4.2e5)
 
 @dataclass(frozen=True)
 class Gauge:
-    """The force gauge: points of the push on the ribs, and the direction (3,) of the force on the patient."""
+    """The force gauge: points of the push on the ribs, and the forces (n, 3) on them, of which the size says nothing."""
 
     points: PointsOnBones
-    direction: Floats
+    forces: Floats
 
 
 def acquire(
@@ -106,7 +106,7 @@ def acquire(
         bodies = [*torso_absorbers(torso, shown, person, breathing.diaphragm * phase)]
         bodies += bowel(torso, shown, person, acquisition.gas, acquisition.bowel_motion, own)
         if gauge is not None:
-            bodies += gauge_pad(torso, shown, gauge.points, gauge.direction)
+            bodies += gauge_pad(torso, shown, gauge.points, gauge.forces)
         drift = float(np.exp(acquisition.exposure_drift * own.standard_normal()))
         exposure = replace(acquisition.exposure, factor=acquisition.exposure.factor * drift)
         noise = int(own.integers(2**31))

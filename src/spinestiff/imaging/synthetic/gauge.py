@@ -18,16 +18,18 @@ _CUSHION, _PLATE = 14.0, 3.0  # mm of rubber, of aluminium
 _RUBBER = 0.9  # of soft tissue
 
 
-def gauge_pad(torso: TorsoModel, state: TorsoState, points: PointsOnBones, push: Floats) -> list[Absorber]:
+def gauge_pad(torso: TorsoModel, state: TorsoState, points: PointsOnBones, forces: Floats) -> list[Absorber]:
     """Cushion, plate and rod, pressed on the skin beside ``points``.
 
     Parameters
     ----------
-    points : the push's points on the ribs; the pad moves with their mean.
-    push : (3,) direction of the force on the patient.
+    points : the push's points on the ribs.
+    forces : (n, 3) on them; the pad moves with the point where their resultant acts. Any unit.
     """
-    inward = np.asarray(push, dtype=float) / np.linalg.norm(push)
-    place = points.positions(state).mean(axis=0)
+    push = forces.sum(axis=0)
+    inward = push / np.linalg.norm(push)
+    along = forces @ inward
+    place = along @ points.positions(state) / along.sum()
     skin, _ = skin_surface(torso, state)
     aside = skin - place
     aside = aside - np.outer(aside @ inward, inward)
