@@ -48,6 +48,11 @@ def test_a_whole_study_has_everything_in_order():
     assert "not finished" not in text
     assert "![Tracked corners](images/study-figure-2.png)" in text
     assert "| other-01: thoracic, +11°, −59 N | 0.1: 0.11 |" in text
+    # Drawn with 60.1 N, pushed with 59.
+    assert "more than 45° against each other (other-01)." in text
+    as_drawn = page([outcome(1)], [outcome(1, name="other-01", force_n=60.1)])
+    assert "from 45 to 114 N; a push ends where it would turn two vertebrae by more than 45°" in as_drawn
+    assert "against each other (none of these)." in as_drawn
 
 
 def test_an_unfinished_study_says_so_and_holds_what_is_there():

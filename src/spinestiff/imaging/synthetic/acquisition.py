@@ -66,7 +66,7 @@ LATERAL = Exposure(kvp=88.0, photons=4.2e5)
 
 @dataclass(frozen=True)
 class Gauge:
-    """The force gauge: points of the push on the ribs, and the forces (n, 3) on them, of which the size says nothing."""
+    """The force gauge: points of the push on the ribs, and the forces (n, 3) on them, of whatever size."""
 
     points: PointsOnBones
     forces: Floats

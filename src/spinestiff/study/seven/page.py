@@ -23,7 +23,15 @@ from spinestiff.study.seven.goals import (
     places,
 )
 from spinestiff.study.seven.paper import SUBJECTS
-from spinestiff.study.seven.participants import COUNT_OTHERS, MAIN, TABLES_MESH, TISSUE_SCALE
+from spinestiff.study.seven.participants import (
+    COUNT_OTHERS,
+    FORCE_N,
+    MAIN,
+    MOST_TILT_DEG,
+    TABLES_MESH,
+    TISSUE_SCALE,
+    others,
+)
 from spinestiff.study.seven.tables import NOTHING, PaperTable, paper_tables
 from spinestiff.study.wording import fixed, listed
 from spinestiff.subject.study_outcome import SubjectOutcome
@@ -122,7 +130,7 @@ def page_text(
         if outcomes:
             parts += [f"## Held-out frames: {title.lower()}", HELD_OUT_ABOUT, _predictors(outcomes), _cobb(outcomes)]
     if further:
-        parts += ["## The others, one by one", _one_by_one(further)]
+        parts += ["## The others, one by one", _their_forces(further), _one_by_one(further)]
     if there:
         parts += ["## Intervals", _intervals(there)]
         parts += ["## The paper's discussion (6.1), point by point", _listed(points_of_results(there))]
@@ -200,6 +208,15 @@ supports most."""
 
 TIME_ABOUT = """CPU seconds a subject on one thread; other work on the machine changes them less than the clock's.
 "Tables" are the gradients of Table 3 and the refits of Table 7."""
+
+
+def _their_forces(further: Sequence[SubjectOutcome]) -> str:
+    drawn = {one.name: abs(one.force_n) for one in others()}
+    less = [one.name for one in further if round(drawn.get(one.name, 0.0) - abs(one.force_n), 1) > 0.0]
+    return (
+        f"Forces are drawn from {FORCE_N[0]:g} to {FORCE_N[1]:g} N; a push ends where it would turn two vertebrae by "
+        f"more than {MOST_TILT_DEG:g}° against each other ({listed(less) or 'none of these'})."
+    )
 
 
 def _figures(pictures: Pictures) -> list[str]:

@@ -39,6 +39,8 @@ STREAM, FIRST_SEED = 37, 700
 AGE, HEIGHT_CM, COBB_DEG, FORCE_N = (10.0, 15.0), (139.0, 168.0), (7.0, 16.0), (45.0, 114.0)
 BENDING, TISSUE = (0.01, 0.63), (0.01, 0.15)
 LEFT_CONVEX = 6 / 7
+MOST_TILT_DEG, LEAST_FORCE_N = 45.0, 15.0
+"""Change of tilt between two vertebrae at which a push of one of the others ends, and the least that is pushed."""
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from spinestiff.study.refits import basis_of
 from spinestiff.study.runner import run_steps
 from spinestiff.study.sensitivity import FORCE, SIGNS, with_force
 from spinestiff.study.seven.geometry_error import GeometryError, steps_with
-from spinestiff.study.seven.participants import HELD_OUT, MAIN, TABLES_MESH, Participant
+from spinestiff.study.seven.participants import HELD_OUT, LEAST_FORCE_N, MAIN, MOST_TILT_DEG, TABLES_MESH, Participant
 from spinestiff.study.spines import curved_spine
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.synthetic import made_by, synthesise, truth_path
@@ -49,8 +49,6 @@ from spinestiff.subject.run_record import read_outcome, recorded_steps
 from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
 
 STEPS = ("track", "personalise", "estimate", "assess")
-MOST_TILT_DEG, LEAST_FORCE_N = 45.0, 15.0
-"""Change of tilt between two vertebrae at which a push of one of the others ends, and the least that is pushed."""
 
 
 def result_file(folder: Path, participant: Participant) -> Path:
