@@ -52,9 +52,15 @@ def test_a_digital_radiograph_tells_the_distance_of_its_support_not_of_the_spine
     view, provenance = view_of(file(EstimatedRadiographicMagnificationFactor=f"{M:.4f}"), spine)
     assert (view.source_to_detector, view.source_to_patient) == (1500.0, 1280.0)
     assert provenance["source to patient"].startswith("given source_patient_mm, since DistanceSourceToPatient 1340 mm")
-    assert view_of(file())[0].source_to_patient == 1340.0
+    view, provenance = view_of(file())
+    assert view.source_to_patient == 1340.0
+    assert provenance["source to patient"] == (
+        "DICOM DistanceSourceToPatient: of such a file that of table or bucky; source_patient_mm takes the spine's"
+    )
     # As near as the file's it is the file's; behind the support, or farther before it than a trunk, is no spine.
-    assert view_of(file(), Geometry(source_patient_mm=1330.0))[0].source_to_patient == 1340.0
+    view, provenance = view_of(file(), Geometry(source_patient_mm=1330.0))
+    assert view.source_to_patient == 1340.0
+    assert provenance["source to patient"] == "DICOM DistanceSourceToPatient"
     for wrong in (1400.0, 1000.0):
         with pytest.raises(RadiographError, match=f"found 1340 mm, wanted {wrong:g} mm to 1 %"):
             view_of(file(), Geometry(source_patient_mm=wrong))

@@ -119,6 +119,8 @@ def distances(tags: Tags, given: Geometry) -> Distances:
     if spine is not None and support is not None:
         words = f"since DistanceSourceToPatient {support[0]:g} mm of such a file is that of table or bucky"
         patient = spine, f"given source_patient_mm, {words}"
+    elif patient is not None and tags.source_patient and given.source_patient_mm is None and _digital(tags):
+        patient = patient[0], f"{patient[1]}: of such a file that of table or bucky; source_patient_mm takes the spine's"
     if detector is None or patient is None:
         lacking = [(f"no {keyword}" if tag is None else f"{keyword} is 0", key) for keyword, tag, key, known in (
             ("DistanceSourceToDetector", tags.source_detector, "xray.source_detector_mm", detector),
@@ -175,9 +177,14 @@ def _before_support(tags: Tags, given: Geometry) -> float | None:
     """The given distance source to patient of a digital radiograph, where a spine may be there before what the file's
     own is that of: by PS3.3 C.8.11.5 the side of table or bucky next to the patient. Else None."""
     told, spine = tags.source_patient, given.source_patient_mm
-    if told is None or spine is None or not tags.image_type.startswith("Digital X-Ray"):
+    if told is None or spine is None or not _digital(tags):
         return None
     return spine if spine >= SOURCE_MM[0] and AGREEMENT * told < told - spine <= DEEPEST_MM else None
+
+
+def _digital(tags: Tags) -> bool:
+    """Whether the file is of the kind DX, whose DistanceSourceToPatient is that of table or bucky."""
+    return tags.image_type.startswith("Digital X-Ray")
 
 
 def _distance(keyword: str, tag: float | None, key: str, given: float | None) -> tuple[float, str] | None:
