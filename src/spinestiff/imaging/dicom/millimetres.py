@@ -120,7 +120,8 @@ def distances(tags: Tags, given: Geometry) -> Distances:
         words = f"since DistanceSourceToPatient {support[0]:g} mm of such a file is that of table or bucky"
         patient = spine, f"given source_patient_mm, {words}"
     elif patient is not None and tags.source_patient and given.source_patient_mm is None and _digital(tags):
-        patient = patient[0], f"{patient[1]}: of such a file that of table or bucky; source_patient_mm takes the spine's"
+        words = "of such a file that of table or bucky; source_patient_mm takes the spine's"
+        patient = patient[0], f"{patient[1]}: {words}"
     if detector is None or patient is None:
         lacking = [(f"no {keyword}" if tag is None else f"{keyword} is 0", key) for keyword, tag, key, known in (
             ("DistanceSourceToDetector", tags.source_detector, "xray.source_detector_mm", detector),
