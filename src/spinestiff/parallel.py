@@ -27,6 +27,8 @@ def threads() -> int:
     """
     for name in VARIABLES:
         said = os.environ.get(name, "").strip()
+        if name == VARIABLES[1]:
+            said = said.split(",")[0].strip()  # a list is of nested levels, the outermost first
         if said.isdecimal() and int(said) > 0:
             return int(said)
         if said and name == VARIABLES[0]:
