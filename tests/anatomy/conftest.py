@@ -11,6 +11,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from conftest import made_once
+from spinestiff.anatomy.importing.placing import place_joints
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template import template_torso
 
@@ -97,6 +99,19 @@ def template_bones(template):
         name: (template.surface_positions(template.rest_pose, i), np.array(template.bone_surfaces[i].faces))
         for i, name in enumerate(BONES)
     }
+
+
+@pytest.fixture(scope="session")
+def shift():
+    """How far ``placed``'s bones lie from the template's, as a user's do."""
+    return np.array([12.0, -300.0, 44.0])
+
+
+@pytest.fixture(scope="session")
+def placed(template_bones, shift, tmp_path_factory):
+    """What ``place_joints`` finds on the template's bones, moved: the skeleton and where its origin was."""
+    moved = {name: (vertices + shift, faces) for name, (vertices, faces) in template_bones.items()}
+    return made_once(tmp_path_factory, "placed", lambda folder: place_joints(moved))
 
 
 def write_bones(folder: Path, bones, endings=(".stl",), matrix=None) -> Path:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from spinestiff.anatomy.importing import placing
 from spinestiff.anatomy.importing.naming import find_files
 from spinestiff.anatomy.importing.orienting import axes_matrix
 from spinestiff.anatomy.importing.placing import _measured, cut_below, place_joints, rearmost, template_column_mm
@@ -23,25 +24,24 @@ from spinestiff.anatomy.template.surfaces import ball, joined, resampled, signed
 from spinestiff.anatomy.template.vertebrae import build_spine
 from spinestiff.errors import TorsoError
 
-SHIFT = np.array([12.0, -300.0, 44.0])
 
-
-@pytest.fixture(scope="module")
-def placed(template_bones):
-    """The template's bones moved, as a user's would be, and what was found on them."""
-    moved = {name: (vertices + SHIFT, faces) for name, (vertices, faces) in template_bones.items()}
-    return place_joints(moved)
+@pytest.fixture
+def measured_before(monkeypatch, placed, shift):
+    """The vertebrae are the template's: they are not measured again."""
+    skeleton, origin = placed
+    vertebrae = {name: placing._shifted(v, shift - origin) for name, v in skeleton.vertebrae.items()}
+    monkeypatch.setattr(placing, "_measured", lambda *args: vertebrae)
 
 
 def turned_deg(a, b):
     return np.degrees(np.arccos(np.clip((np.einsum("jik,jik->j", a, b) - 1.0) / 2.0, -1.0, 1.0)))
 
 
-def test_joints_lie_where_the_template_has_them(placed, template):
+def test_joints_lie_where_the_template_has_them(placed, shift, template):
     skeleton, origin = placed
     own = PointsOnBones(template.joints.parent, template.joints.parent_position).positions(template.rest_pose)
     axes = template.rest_pose.bone_rotations[template.joints.parent] @ template.joints.parent_axes
-    assert origin == pytest.approx(SHIFT, abs=2.0)
+    assert origin == pytest.approx(shift, abs=2.0)
     off, turn = np.linalg.norm(skeleton.centres - own, axis=1), turned_deg(axes, skeleton.axes)
     limits = {"thoracic": (1.0, 2.0), "lumbar": (1.0, 2.0), "rib_vertebra": (5.0, 30.0), "rib_sternum": (5.0, 35.0)}
     for j, joint in enumerate(JOINTS):
@@ -89,7 +89,7 @@ def with_dense_end(surface, axis, side, share=0.1, rounds=4):
     return vertices, faces
 
 
-def test_where_a_mesh_is_dense_changes_no_measurement(template_bones, placed):
+def test_where_a_mesh_is_dense_changes_no_measurement(template_bones, placed, shift):
     """L3 and L5 at opposite ends of their transverse processes, T1 at its spinous process."""
     dense = {
         "L3": with_dense_end(template_bones["L3"], 0, -1.0),
@@ -100,7 +100,7 @@ def test_where_a_mesh_is_dense_changes_no_measurement(template_bones, placed):
         assert signed_volume(surface) == pytest.approx(signed_volume(template_bones[name]))
         assert np.linalg.norm(surface[0].mean(0) - template_bones[name][0].mean(0)) > 20.0
     found, origin = place_joints(template_bones | dense)
-    assert origin == pytest.approx(placed[1] - SHIFT, abs=0.2)
+    assert origin == pytest.approx(placed[1] - shift, abs=0.2)
     for name in VERTEBRAE:
         assert turned_deg(found.vertebrae[name].axes[None], placed[0].vertebrae[name].axes[None])[0] < 0.5, name
 
@@ -134,6 +134,7 @@ def test_what_is_no_vertebra_is_refused_by_name():
         measure_vertebra("T9", rod, np.array([0.0, 1.0, 0.0]), dense_points(rod, 2.0))
 
 
+@pytest.mark.usefixtures("measured_before")
 def test_a_rib_named_after_another_vertebra_is_refused(template_bones):
     bones = dict(template_bones)
     for side in SIDES:
@@ -142,6 +143,7 @@ def test_a_rib_named_after_another_vertebra_is_refused(template_bones):
         place_joints(bones)
 
 
+@pytest.mark.usefixtures("measured_before")
 def test_neighbouring_ribs_with_swapped_names_are_refused(template_bones):
     bones = template_bones | {"R5_L": template_bones["R6_L"], "R6_L": template_bones["R5_L"]}
     with pytest.raises(TorsoError, match=r"^R5_L: its head lies 2\d mm below that of R6_L; are their names swapped\?"):
@@ -202,40 +204,37 @@ def test_overlapping_vertebrae_are_noted_and_misplaced_ones_refused(template, te
         place_joints(template_bones | {"T9": (vertices + 19.0 * down, faces)})
 
 
-def test_a_rib_without_cartilage_ends_in_its_joint(template_bones):
-    bones = dict(template_bones)
-    curve = centreline("R5_L", bones["R5_L"])
-    curve = curve if curve[0, 2] < curve[-1, 2] else curve[::-1]
-    bones["R5_L"] = tube(curve[:34], np.array([3.0, 5.0]), np.array([0.0, 1.0, 0.0]))
-    skeleton, origin = place_joints(bones)
-    j = [str(joint) for joint in JOINTS].index("sternum-R5_L")
-    assert np.linalg.norm(skeleton.centres[j] + origin - curve[33]) < 4.0
-    assert any(note.startswith("R5_L ends") and "from sternum" in note for note in skeleton.notes)
-
-
 def cut_short(surface, share):
-    """A left rib's tube from its head along a share of its length."""
+    """A left rib's tube from its head along a share of its length, and where it ends."""
     curve = centreline("R5_L", surface)
     curve = curve if curve[0, 2] < curve[-1, 2] else curve[::-1]
     whole = resampled(curve, 401)
-    return tube(resampled(whole[: int(401 * share)], 30), np.array([3.0, 5.0]), np.array([0.0, 1.0, 0.0]))
+    some = resampled(whole[: int(401 * share)], 30)
+    return tube(some, np.array([3.0, 5.0]), np.array([0.0, 1.0, 0.0])), some[-1]
 
 
+@pytest.mark.usefixtures("measured_before")
 def test_ribs_that_end_where_their_cartilage_begins_are_taken(template_bones):
     ribs = left_ribs(build_spine())
-    bones = {f"R{i + 1}_L": cut_short(template_bones[f"R{i + 1}_L"], ribs[i].bony) for i in range(10)}
-    skeleton, _ = place_joints(template_bones | bones)
+    cut = {f"R{i + 1}_L": cut_short(template_bones[f"R{i + 1}_L"], ribs[i].bony) for i in range(10)}
+    skeleton, origin = place_joints(template_bones | {name: rib for name, (rib, _) in cut.items()})
     ends = {note.split()[0]: float(note.split()[2]) for note in skeleton.notes if "from sternum" in note}
     assert {f"R{i}_L" for i in range(3, 11)} <= set(ends)
     assert ends["R10_L"] > 100.0
+    # So far from the sternum, the joint lies where the rib ends.
+    for name in ends:
+        j = [str(joint) for joint in JOINTS].index(f"sternum-{name}")
+        assert np.linalg.norm(skeleton.centres[j] + origin - cut[name][1]) < 4.0, name
 
 
+@pytest.mark.usefixtures("measured_before")
 def test_a_rib_too_short_for_its_cartilage_is_refused(template_bones):
-    short = template_bones | {"R5_L": cut_short(template_bones["R5_L"], 0.55)}
+    short = template_bones | {"R5_L": cut_short(template_bones["R5_L"], 0.55)[0]}
     with pytest.raises(TorsoError, match=r"^R5_L ends 1\d\d mm from sternum; wanted at most 8\d mm; is it whole"):
         place_joints(short)
 
 
+@pytest.mark.usefixtures("measured_before")
 def test_a_whole_rib_that_misses_the_sternum_is_refused(template_bones):
     """Turned about its head; its cartilage is there, so nothing can lie between."""
     vertices, faces = template_bones["R8_L"]

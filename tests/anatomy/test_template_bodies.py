@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.names import BONES, JOINTS, RIBS, VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.template import _skeleton, template_torso
 from spinestiff.anatomy.template import body as bodies
-from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.template.assemble import build_skeleton
 from spinestiff.anatomy.template.body import REFERENCE_BODY, Body, body_of, proportions
 from spinestiff.anatomy.template.proportions import REFERENCE
@@ -52,7 +52,8 @@ def body(given):
 
 @pytest.fixture(scope="module")
 def skeleton(body):
-    return build_skeleton(proportions(body))
+    """The same as that of ``torso``, which is built once."""
+    return _skeleton(proportions(body))
 
 
 @pytest.fixture(scope="module")
@@ -383,7 +384,7 @@ def test_bodies_drawn_at_random_are_sound(seed):
     height = float(np.clip(mean + 7.0 * random.normal(), 120.0, 190.0))
     mass = float(random.uniform(0.78, 1.4)) * bodies.usual_mass(height, age, sex)
     curves = {"kyphosis_deg": float(random.uniform(20.0, 50.0)), "lordosis_deg": float(random.uniform(35.0, 60.0))}
-    skeleton = build_skeleton(proportions(body_of(height, age, sex, mass, **curves)))
+    skeleton = _skeleton(proportions(body_of(height, age, sex, mass, **curves)))
     surfaces = dict(zip(BONES, skeleton.surfaces))
     left = [name for name in BONES if not name.endswith("_R")]
     pairs = [(a, b) for i, a in enumerate(left) for b in left[i + 1 :]]

@@ -17,7 +17,7 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from spinestiff.anatomy.carving import boundary, carved
 from spinestiff.anatomy.mmg import NO_MMG, VOLUME_TOLERANCE, mmg
 from spinestiff.anatomy.names import BONES
-from spinestiff.anatomy.solids import dense_points, enclosed
+from spinestiff.anatomy.solids import dense_points, enclosed, first_of_rows
 from spinestiff.anatomy.template.surfaces import Surface, signed_volume
 from spinestiff.anatomy.tetrahedra import least_angles, signed_volumes
 from spinestiff.anatomy.torso import TET10_EDGES
@@ -218,8 +218,7 @@ def _bone_points(
 ) -> Floats:
     # Points a little under the surface, spread out, clear of those in other bones, deep under the skin where possible.
     candidates = under_surface(surface, (1.3, 2.5, 4.0), rng)
-    _, first = np.unique(np.floor(candidates / 2.0), axis=0, return_index=True)
-    candidates = candidates[np.sort(first)]
+    candidates = candidates[first_of_rows(np.floor(candidates / 2.0))]
     found = candidates[enclosed(surface, candidates)]
     if not len(found):
         candidates = under_surface(surface, (0.2, 0.5), rng)

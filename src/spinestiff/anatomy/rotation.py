@@ -13,13 +13,11 @@ from spinestiff.arrays import Floats
 def cross_matrix(w: Floats) -> Floats:
     """``[w]x`` with ``[w]x v = w x v``. Shapes (..., 3) -> (..., 3, 3)."""
     w = np.asarray(w)
-    zero = np.zeros_like(w[..., 0])
-    rows = [
-        np.stack([zero, -w[..., 2], w[..., 1]], -1),
-        np.stack([w[..., 2], zero, -w[..., 0]], -1),
-        np.stack([-w[..., 1], w[..., 0], zero], -1),
-    ]
-    return np.stack(rows, -2)
+    matrix = np.zeros((*w.shape, 3), dtype=w.dtype)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrix[..., k, j] = w[..., i]
+        matrix[..., j, k] = -w[..., i]
+    return matrix
 
 
 def cross(a: Floats, b: Floats) -> Floats:

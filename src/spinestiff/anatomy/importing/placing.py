@@ -90,7 +90,8 @@ def place_joints(surfaces: Mapping[str, Surface]) -> tuple[Skeleton, Floats]:
         below, below_axes = facing[j]
         centres[j] = 0.5 * (vertebra.lower + below)
         axes[j] = mean_rotation(vertebra.lower_axes, below_axes)
-    curves = {name: _rib_curve(name, surfaces, dense, share) for name in RIBS}
+    trees = {name: cKDTree(dense[name]) for name in VERTEBRAE[:13]}
+    curves = {name: _rib_curve(name, surfaces[name], trees, share) for name in RIBS}
     for upper, lower in zip(RIBS, RIBS[2:]):
         rise = float((curves[lower][0] - curves[upper][0]) @ vertebrae[f"T{upper[1:-2]}"].axes[:, 1])
         if rise >= 0.0:
@@ -201,13 +202,13 @@ def _sacral_endplate(pelvis: Surface, lowest: MeasuredVertebra) -> tuple[Floats,
     return at, np.stack([x, y, np.cross(x, y)], -1)
 
 
-def _rib_curve(name: str, surfaces: Mapping[str, Surface], dense: Mapping[str, Floats], share: float) -> Floats:
-    # From the head to the front end.
-    curve = centreline(name, surfaces[name])
+def _rib_curve(name: str, surface: Surface, vertebrae: Mapping[str, cKDTree], share: float) -> Floats:
+    # From the head to the front end; ``vertebrae`` by points spread over them.
+    curve = centreline(name, surface)
     level = int(name[1:-2])
-    gaps = [cKDTree(dense[f"T{level}"]).query(curve[end])[0] for end in (0, -1)]
+    gaps = [vertebrae[f"T{level}"].query(curve[end])[0] for end in (0, -1)]
     curve = curve if gaps[0] <= gaps[1] else curve[::-1]
-    others = {v: float(cKDTree(dense[v]).query(curve[0])[0]) for v in VERTEBRAE[:13]}
+    others = {v: float(tree.query(curve[0])[0]) for v, tree in vertebrae.items()}
     nearest = min(others, key=lambda v: others[v])
     if min(gaps) > FAR_MM * share or abs(VERTEBRAE.index(nearest) + 1 - level) > 1:
         raise TorsoError(

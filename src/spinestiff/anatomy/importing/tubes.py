@@ -24,19 +24,20 @@ def centreline(name: str, surface: Surface, step: float = 2.0) -> Floats:
     TorsoError : the bone falls into pieces too far apart.
     """
     points = dense_points(surface, step)
-    graph = cKDTree(points).sparse_distance_matrix(cKDTree(points), 2.2 * step, output_type="coo_matrix").tocsr()
+    tree = cKDTree(points)
+    graph = tree.sparse_distance_matrix(tree, 2.2 * step, output_type="coo_matrix").tocsr()
     piece = connected_components(graph, directed=False)[1]
     main = np.flatnonzero(piece == np.argmax(np.bincount(piece)))
     if len(main) < 0.9 * len(points):
         raise TorsoError(f"{name} is in pieces that don't touch; wanted one bone in one piece")
     points, graph = points[main], graph[main][:, main]
     # Twice across: the farthest point from anywhere is an end, and the farthest from there the other.
-    distance = dijkstra(graph, directed=False, indices=0)
+    distance = dijkstra(graph, indices=0)
     for _ in range(2):
-        distance = dijkstra(graph, directed=False, indices=int(np.argmax(distance)))
+        distance = dijkstra(graph, indices=int(np.argmax(distance)))
     thick = _thickness(points, distance)
     first = np.flatnonzero(distance <= thick)
-    distance = dijkstra(graph, directed=False, indices=first, min_only=True)
+    distance = dijkstra(graph, indices=first, min_only=True)
     last = float(np.quantile(distance, 0.999))
     edges = np.linspace(0.0, last, max(8, int(last / (1.5 * step))) + 1)
     bin_ = np.clip(np.digitize(distance, edges) - 1, 0, len(edges) - 2)

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.solids import exits
 from spinestiff.anatomy.template.surfaces import Surface
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
 
 BODY_SHAPE = (0.35, 1.5)  # depth over width
@@ -81,9 +81,14 @@ def median_plane(points: Floats, up: Floats, rounds: int = 12) -> tuple[Floats, 
 
 def _paired(some: Floats, points: Floats, tree: cKDTree, normal: Floats, rounds: int) -> tuple[Floats, Floats]:
     at, n = points.mean(0), normal
+    before: Ints = np.zeros(0, dtype=np.int64)
     for _ in range(rounds):
         distance, nearest = tree.query(some - 2.0 * np.outer((some - at) @ n, n))
         good = distance <= np.quantile(distance, 0.8)
+        pairs = np.where(good, nearest, -1)
+        if np.array_equal(pairs, before):
+            break  # the same pairs, the same plane
+        before = pairs
         p, q = some[good], points[nearest[good]]
         at = 0.5 * (p + q).mean(0)
         # Middles of pairs lie on the plane, differences across it.

@@ -209,9 +209,12 @@ def _pierced(edged: Surface, faced: Surface, low: Floats, high: Floats) -> bool:
     triangles = triangles[((triangles.min(1) <= high) & (triangles.max(1) >= low)).all(1)]
     if not len(start) or not len(triangles):
         return False
-    overlap = np.minimum(start, end)[:, None] <= triangles.max(1)[None]
-    overlap &= np.maximum(start, end)[:, None] >= triangles.min(1)[None]
-    i, j = np.nonzero(overlap.all(2))
+    least, most, lowest, highest = np.minimum(start, end), np.maximum(start, end), triangles.min(1), triangles.max(1)
+    overlap = np.ones((len(start), len(triangles)), dtype=bool)
+    for axis in range(3):
+        overlap &= least[:, None, axis] <= highest[:, axis]
+        overlap &= most[:, None, axis] >= lowest[:, axis]
+    i, j = np.nonzero(overlap)
     # Moeller and Trumbore 1997.
     along, corner = end[i] - start[i], triangles[j, 0]
     u, v = triangles[j, 1] - corner, triangles[j, 2] - corner
