@@ -694,24 +694,25 @@ def test_a_doubtful_corner_stays_in_sight(page):
     assert not changed[y - 8 : y + 9, x - 8 : x + 9].any()
 
 
-@pytest.mark.parametrize("image", ["rest/frontal", "push/a"])
-def test_a_small_screen_shows_controls_and_picture_at_once(page, image):
+def test_a_small_screen_shows_controls_and_picture_at_once(page):
     """1024 x 600: nothing has to be scrolled to but what is in the columns beside the picture."""
     tab = page.tab
     tab.size(1024, 600)
-    tab.run(f"annotation.open('{image}')")
-    tab.until("annotation.loaded == annotation.key")
-    page.fill(image)
-    tab.settle()
-    _, top, width, height = page.stage()
-    assert width >= 550 and height >= 340 and top + height <= 600
-    assert tab.run("document.documentElement.scrollWidth <= 1024 && document.documentElement.scrollHeight <= 600")
-    # The tools are one line.
-    tops = tab.run("[...document.querySelectorAll('[role=toolbar] button')].map(one => one.offsetTop)")
-    assert len(set(tops)) == 1
-    for name in ("undo", "fit", "propose", "missing"):
-        box = tab.run(f"JSON.parse(JSON.stringify(document.getElementById('{name}').getBoundingClientRect()))")
-        assert box["width"] > 0 and box["bottom"] <= 601 and box["right"] <= 1024, name
+    for image in ("rest/frontal", "push/a"):
+        tab.run(f"annotation.open('{image}')")
+        tab.until("annotation.loaded == annotation.key")
+        page.fill(image)
+        tab.settle()
+        _, top, width, height = page.stage()
+        assert width >= 550 and height >= 340 and top + height <= 600, image
+        scrolled = "[document.documentElement.scrollWidth, document.documentElement.scrollHeight]"
+        assert np.all(np.array(tab.run(scrolled)) <= [1024, 600]), image
+        # The tools are one line.
+        tops = tab.run("[...document.querySelectorAll('[role=toolbar] button')].map(one => one.offsetTop)")
+        assert len(set(tops)) == 1, image
+        for name in ("undo", "fit", "propose", "missing"):
+            box = tab.run(f"JSON.parse(JSON.stringify(document.getElementById('{name}').getBoundingClientRect()))")
+            assert box["width"] > 0 and box["bottom"] <= 601 and box["right"] <= 1024, (image, name)
 
 
 def test_a_large_picture_is_sent_as_the_screen_shows_it_and_finer_where_it_is_zoomed(page):
@@ -754,26 +755,27 @@ def test_a_server_that_does_not_answer_is_told_and_tried_again(page):
     assert list(page.disk()) == ["rest/frontal"]
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("zoom", [1, 2])
-def test_light_and_dark_and_twice_the_size(page, theme, zoom):
+def test_light_and_dark_and_twice_the_size(page):
     """200 % zoom leaves half as many pixels of the style sheet: nothing may hang out of them sideways."""
     tab = page.tab
-    tab.theme(theme)
-    tab.size(1280 // zoom, 800 // zoom)
     page.fill()
-    tab.settle()
-    assert tab.run("document.documentElement.scrollWidth <= innerWidth")
-    outside = tab.run(
-        "[...document.querySelectorAll('button, select, input, canvas, h1, h2, p, li')].filter(e => e.offsetParent &&"
-        " !e.closest('.hidden') && e.getBoundingClientRect().right > innerWidth + 0.5).map(e => e.id || e.innerText)"
-    )
-    assert outside == []
-    stage = tab.run("JSON.parse(JSON.stringify(document.getElementById('stage').getBoundingClientRect()))")
-    assert stage["height"] > 200 and stage["width"] > 400
-    background = tab.run("getComputedStyle(document.body).backgroundColor")
-    assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")
-    assert contrast(tab) == []
+    for zoom in (1, 2):
+        tab.size(1280 // zoom, 800 // zoom)
+        for theme in ("light", "dark"):
+            tab.theme(theme)
+            tab.settle()
+            assert tab.run("document.documentElement.scrollWidth <= innerWidth"), (theme, zoom)
+            outside = tab.run(
+                "[...document.querySelectorAll('button, select, input, canvas, h1, h2, p, li')].filter(e =>"
+                " e.offsetParent && !e.closest('.hidden') && e.getBoundingClientRect().right > innerWidth + 0.5)"
+                ".map(e => e.id || e.innerText)"
+            )
+            assert outside == [], (theme, zoom)
+            stage = tab.run("JSON.parse(JSON.stringify(document.getElementById('stage').getBoundingClientRect()))")
+            assert stage["height"] > 200 and stage["width"] > 400, (theme, zoom)
+            background = tab.run("getComputedStyle(document.body).backgroundColor")
+            assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")
+            assert contrast(tab) == [], (theme, zoom)
 
 
 def contrast(tab):

@@ -71,12 +71,11 @@ def test_nothing_is_given_or_taken_without_the_token(served):
 # 2. A foreign name that leads here (DNS rebinding).
 
 
-@pytest.mark.parametrize(
-    "host", ["evil.example", "127.0.0.1", "localhost:1", "evil.example:{port}", "127.0.0.1:{port}.x"]
-)
-@pytest.mark.parametrize("path", ["/", "/api/subjects", "/shown/x/report.html"])
-def test_a_foreign_host_is_refused(served, host, path):
-    assert served.ask("GET", path, headers={"Host": host.format(port=served.port)})[0] == 421
+def test_a_foreign_host_is_refused(served):
+    for host in ("evil.example", "127.0.0.1", "localhost:1", "evil.example:{port}", "127.0.0.1:{port}.x"):
+        for path in ("/", "/api/subjects", "/shown/x/report.html"):
+            status, _, _ = served.ask("GET", path, headers={"Host": host.format(port=served.port)})
+            assert status == 421, (host, path)
 
 
 # 3. A page of another site in the same browser.
@@ -104,15 +103,17 @@ NASTY = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", NASTY)
-def test_names_of_files_are_no_paths(served, name):
-    path = Path(harmless(name))
-    assert not path.is_absolute() and ".." not in path.parts and not any(part.startswith(".") for part in path.parts)
-    assert path.name and len(str(path)) < 1100 and "\\" not in str(path) and ":" not in str(path)
-    key = served.upload({name: b"x", "b.dcm": b"y"})
-    place = served.bench.uploads.place(key)
-    inside = [one for one in served.bench.root.path.parent.rglob("*") if one.is_file() and one.read_bytes() == b"x"]
-    assert len(inside) == 1 and inside[0].resolve().is_relative_to(place / "files")
+def test_names_of_files_are_no_paths(served):
+    for number, name in enumerate(NASTY):
+        path = Path(harmless(name))
+        assert not path.is_absolute() and ".." not in path.parts, name
+        assert not any(part.startswith(".") for part in path.parts), name
+        assert path.name and len(str(path)) < 1100 and "\\" not in str(path) and ":" not in str(path), name
+        content = b"%09d" % number
+        place = served.bench.uploads.place(served.upload({name: content, "b.dcm": b"y"}))
+        files = (one for one in served.bench.root.path.parent.rglob("*") if one.is_file())
+        inside = [one for one in files if one.stat().st_size == len(content) and one.read_bytes() == content]
+        assert len(inside) == 1 and inside[0].resolve().is_relative_to(place / "files"), name
 
 
 def test_a_name_that_is_harmless_stays_as_it_is():

@@ -160,30 +160,24 @@ def test_by_keyboard_alone(tab, root, served):
     assert outline == "solid"
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 640, 360])
-def test_nothing_runs_out_of_the_window(tab, root, serve, theme, width):
+def test_nothing_runs_out_of_the_window(tab, root, served):
     """640 pixels are a window of 1280 at 200 % zoom."""
-    with serve(root) as served:
-        tab.size(width, 800)
-        tab.theme(theme)
-        try:
-            load(tab, served.address)
-            places = [
-                "/",
-                "/new",
-                "/table",
-                "/trash",
-                *(f"/subject/{served.key()}/{room}" for room in ("values", "run", "results")),
-            ]
-            for place in places:
-                go(tab, place)
-                assert tab.run("document.documentElement.scrollWidth") <= width, place
-            dark = tab.run("getComputedStyle(document.body).backgroundColor") == "rgb(18, 22, 28)"
-            assert dark == (theme == "dark")
-        finally:
-            tab.size(1280, 800)
-            tab.theme("light")
+    rooms = (f"/subject/{served.key()}/{room}" for room in ("values", "run", "results"))
+    load(tab, served.address)
+    try:
+        for place in ("/", "/new", "/table", "/trash", *rooms):
+            go(tab, place)
+            for width in (1280, 640, 360):
+                tab.size(width, 800)
+                for theme in ("light", "dark"):
+                    tab.theme(theme)
+                    tab.settle()
+                    assert tab.run("document.documentElement.scrollWidth") <= width, (place, width, theme)
+                    dark = tab.run("getComputedStyle(document.body).backgroundColor") == "rgb(18, 22, 28)"
+                    assert dark == (theme == "dark"), (place, width, theme)
+    finally:
+        tab.size(1280, 800)
+        tab.theme("light")
 
 
 def test_a_page_of_another_start_says_so(tab, served):
