@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup
@@ -89,7 +89,7 @@ class ExpectedWidths:
 
     def of(self, taken: Sequence[int], taped: bool = False) -> Width:
         """Mean over the places."""
-        reach = WIDTH_FACTOR * norm.ppf(0.5 + 0.5 * CONFIDENCE)
+        reach = WIDTH_FACTOR * ndtri(0.5 + 0.5 * CONFIDENCE)
         designs = self.taped if taped else self.designs
         logs = np.mean([np.minimum(reach * one.ratio_sds(taken), self._widest) for one in designs], axis=0)
         degrees = None
