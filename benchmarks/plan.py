@@ -142,7 +142,7 @@ def run_one(seed: int) -> dict[str, Any]:
         scene, either = before_any(paper), Wish(exposures=2 * FRAMES, views=FRONTAL)
         convex = replace(either, sides=(paper.subject.records[0].side,))
         carried = CarriedPushes(scene, either)
-        widths = ExpectedWidths(scene, either, carried)
+        widths = ExpectedWidths(scene, carried)
         for number, (arm, wish) in enumerate((("best three", either), ("best three, one side", convex))):
             pushes, promised = best_of(composed(scene, wish, carried, widths))
             row[arm] = {**told(estimated(seed, 3 + number, placed(pushes), ratios)), "promised": promised}

@@ -34,9 +34,13 @@ def one_killed(folder, participant, settings, say):
     return outcome(int(participant.name[-1]))
 
 
-def unforeseen(folder, participant, settings, say):
+def without_memory(folder, participant, settings, say):
     if participant.name == "subject-1":
         raise MemoryError("no room\nfor an array")
+    return made(folder, participant, settings, say)
+
+
+def unforeseen(folder, participant, settings, say):
     if participant.name == "subject-2":
         raise OSError(28, "No space left on device")
-    return made(folder, participant, settings, say)
+    return without_memory(folder, participant, settings, say)

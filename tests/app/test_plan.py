@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import pytest
@@ -10,7 +11,8 @@ import pytest
 from spinestiff.app.plan import exposures_of, plan_record, wish_of
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, write_json
-from spinestiff.study.planning.wish import RIBS, SIDES, VIEWS, Frame
+from spinestiff.study.planning.scene import scene_of
+from spinestiff.study.planning.wish import RIBS, SIDES, VIEWS, Frame, Wish
 from spinestiff.study.report.clinician import next_lines
 from spinestiff.study.runner import ALL_STEPS
 from spinestiff.study.visit import open_visit
@@ -27,6 +29,18 @@ def wished(**changes):
     return wish_of(**{**dict(zip(names, ALL)), **changes})
 
 
+@pytest.fixture
+def at_one_place(monkeypatch):
+    """Plans as made at one place where the ratios may lie, not at all of them."""
+
+    def scene(visit):
+        found = scene_of(visit)
+        return replace(found, places=found.places[:1])
+
+    monkeypatch.setattr("spinestiff.app.plan.scene_of", scene)
+
+
+@pytest.mark.usefixtures("at_one_place", "no_report")
 def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, subject):
     ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 3)
     assert ran.status == 0 and "plan: " in ran.err
@@ -140,9 +154,11 @@ def test_a_report_that_is_there_shows_the_new_plan(spinestiff, subject, monkeypa
     assert "report" not in spinestiff("plan", subject).err
 
 
-def test_a_plan_is_of_the_estimate_and_pushes_that_it_was_made_from(spinestiff, subject):
+def test_a_plan_is_of_the_estimate_and_pushes_that_it_was_made_from(spinestiff, subject, no_report, monkeypatch):
+    asked = []
+    monkeypatch.setattr("spinestiff.app.plan.make_plan", lambda scene, wish, say: asked.append(wish) or PLAN)
     assert spinestiff("plan", subject, "--limit", 30, "--ribs", 8, "--side", "left", "--views", "frontal").status == 0
-    assert {push["view"] for push in read_json(subject / "results" / "plan.json")["next"]} == {"frontal"}
+    assert asked == [Wish(limit_n=30.0, ribs=(8.0,), sides=("left",), views=("frontal",))]
     path = subject / "subject.json"
     content = read_json(path)
     content["pushes"][0]["level"] += 1.0

@@ -16,14 +16,14 @@ from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.objective import SkinMarkers
 from spinestiff.files import read_json, write_json
-from spinestiff.imaging.features import view_kind
+from spinestiff.imaging.features import silhouette_shares, state_features, view_kind
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.push import Rig
 from spinestiff.mechanics.sensitivity import Linearisation
 from spinestiff.study.planning import proposal, states, widths
 from spinestiff.study.planning.proposal import make_plan
-from spinestiff.study.planning.scene import Scene, places_of_draws, population_places, read_draws, scene_of
+from spinestiff.study.planning.scene import PLACES, Scene, places_of_draws, population_places, read_draws, scene_of
 from spinestiff.study.planning.wish import Frame, Wish
 from spinestiff.study.planning.words import now_of, pays, plan_lines, size_of
 from spinestiff.study.report.protocol import protocol_page
@@ -35,18 +35,40 @@ from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome
 
 SMALL = Wish(limit_n=30.0, exposures=5, sides=("left", "right"), ribs=(6.0, 8.0))
+SITE = replace(SMALL, sides=("left",), ribs=(8.0,))
+FRONTAL = replace(SITE, views=("frontal",))
 
 
 @pytest.fixture(scope="module")
 def scene(finished):
     """The finished subject with its estimate, at two places."""
     found = scene_of(open_visit(finished.folder))
+    assert found.places.shape == (PLACES, 2)
     return replace(found, places=found.places[[1, 3]])
 
 
 @pytest.fixture(scope="module")
-def plan(scene):
-    return make_plan(scene, SMALL)
+def one(scene):
+    """The same at one place."""
+    return replace(scene, places=scene.places[:1])
+
+
+@pytest.fixture(scope="module")
+def solved(scene):
+    """What any plan of ``SMALL`` or a part of it is composed from: the pushes in equilibrium, and what they tell."""
+    carried = states.CarriedPushes(scene, SMALL)
+    return carried, widths.ExpectedWidths(scene, carried)
+
+
+@pytest.fixture(scope="module")
+def plan(scene, solved):
+    return proposal.composed(scene, SMALL, *solved)
+
+
+@pytest.fixture(scope="module")
+def alone(scene):
+    """The plan of one site and view, from equilibria of its own."""
+    return make_plan(scene, FRONTAL)
 
 
 def test_single_pushes_come_best_first_and_all_of_them_narrow(plan) -> None:
@@ -71,14 +93,17 @@ def test_what_a_tape_brings_before_any_push_is_told_of_the_push_that_is_called_b
     seen, names = torso.vertebrae[2:16], ("lateral_bending", "tissue")
     scene = Scene(torso, known, Rig(), frontal_view(centre=middle), seen, names, population_places()[:1])
     wish = Wish(limit_n=40.0, exposures=6, sides=("left",), ribs=(8.0,))
-    both, alone = make_plan(scene, wish), make_plan(scene, replace(wish, views=("frontal",)))
+    carried = states.CarriedPushes(scene, wish)
+    expected = widths.ExpectedWidths(scene, carried)
+    both, alone = (
+        proposal.composed(scene, asked, carried, expected) for asked in (wish, replace(wish, views=("frontal",)))
+    )
     assert (both.next[0].view, both.sequence[0].push.view) == ("frontal+lateral", "frontal")
     assert both.sequence[0].push.expected_factor == alone.sequence[0].push.expected_factor
     assert both.taped == alone.taped
 
 
-def test_a_plan_holds_a_tangent_a_thread_and_is_that_of_all_at_once(scene, monkeypatch) -> None:
-    few = replace(SMALL, ribs=(8.0,), views=("frontal",))
+def test_a_plan_holds_a_tangent_a_thread_and_is_that_of_all_at_once(one, monkeypatch) -> None:
     alive, most = weakref.WeakSet(), [0]
     begin = Linearisation.__init__
 
@@ -89,17 +114,19 @@ def test_a_plan_holds_a_tangent_a_thread_and_is_that_of_all_at_once(scene, monke
 
     monkeypatch.setattr(Linearisation, "__init__", counted)
     monkeypatch.setenv("SPINESTIFF_THREADS", "1")
-    found = make_plan(scene, few)
+    carried = states.CarriedPushes(one, FRONTAL)
+    found = proposal.composed(one, FRONTAL, carried, widths.ExpectedWidths(one, carried))
     assert most[0] == 1
     monkeypatch.setattr(widths, "_OneByOne", lambda *trials: TrialSet(*trials, None))
-    assert make_plan(scene, few) == found
+    assert proposal.composed(one, FRONTAL, carried, widths.ExpectedWidths(one, carried)) == found
     assert most[0] >= 4
 
 
-def test_a_frontal_radiograph_is_worth_the_same_whether_or_not_lateral_ones_are_compared(scene, plan) -> None:
-    alone = make_plan(scene, replace(SMALL, views=("frontal",)))
+def test_a_frontal_radiograph_is_worth_the_same_whether_or_not_lateral_ones_are_compared(plan, alone) -> None:
     both = {(p.side, p.level, p.force_n): p.expected_factor for p in plan.next if p.view == "frontal"}
-    assert {(p.side, p.level, p.force_n) for p in alone.next} == set(both)
+    assert {(p.side, p.level, p.force_n, p.view) for p in alone.next} == {
+        ("left", 8.0, force, "frontal") for force in (15.0, 30.0)
+    }
     assert alone.now == pytest.approx(plan.now, abs=0.002)
     for push in alone.next:
         assert push.expected_factor == pytest.approx(both[push.side, push.level, push.force_n], abs=0.002)
@@ -107,29 +134,22 @@ def test_a_frontal_radiograph_is_worth_the_same_whether_or_not_lateral_ones_are_
     assert "with a lateral radiograph beside each: within a factor of" in " ".join(plan_lines(plan))
 
 
-def test_a_narrower_wish_is_answered_from_the_same_equilibria(scene) -> None:
-    one = replace(scene, places=scene.places[:1])
-    both = replace(SMALL, ribs=(8.0,), views=("frontal",))
-    left = replace(both, sides=("left",))
-    carried = states.CarriedPushes(one, both)
-    expected = widths.ExpectedWidths(one, both, carried)
-    found = proposal.composed(one, left, carried, expected)
-    alone = make_plan(one, left)
-    assert [(p.side, p.force_n) for p in found.next] == [(p.side, p.force_n) for p in alone.next]
-    assert {push.side for push in found.next} == {step.push.side for step in found.sequence} == {"left"}
-    assert [p.expected_factor for p in found.next] == pytest.approx([p.expected_factor for p in alone.next], abs=0.002)
-    assert len(found.sequence) == len(alone.sequence)
+def test_a_narrower_wish_is_answered_from_the_same_equilibria(scene, solved, alone) -> None:
+    narrow = proposal.composed(scene, FRONTAL, *solved)
+    assert [(p.side, p.force_n) for p in narrow.next] == [(p.side, p.force_n) for p in alone.next]
+    assert {push.side for push in narrow.next} == {step.push.side for step in narrow.sequence} == {"left"}
+    assert [p.expected_factor for p in narrow.next] == pytest.approx([p.expected_factor for p in alone.next], abs=0.002)
+    assert len(narrow.sequence) == len(alone.sequence)
     with pytest.raises(EquilibriumError, match="no push of 15 to 30 N leaves all vertebrae within 45 degrees"):
-        proposal.composed(one, replace(left, ribs=(6.0,)), carried, expected)
+        proposal.composed(scene, replace(FRONTAL, ribs=(7.0,)), *solved)
 
 
-def test_all_views_of_a_push_are_taken_once(scene) -> None:
+def test_all_views_of_a_push_are_taken_once(scene, solved) -> None:
     """Two forces from two sides and unloaded: a lateral radiograph adds itself to a frontal one that is there."""
-    wish = replace(SMALL, ribs=(8.0,), sides=("left",), exposures=12)
-    found = make_plan(replace(scene, places=scene.places[:1]), wish)
-    assert sum(step.push.radiographs for step in found.sequence) == found.sequence[-1].exposures == 6
+    every = proposal.composed(scene, replace(SITE, exposures=12), *solved)
+    assert sum(step.push.radiographs for step in every.sequence) == every.sequence[-1].exposures == 6
     seen: set[tuple[float, str]] = set()
-    for step in found.sequence:
+    for step in every.sequence:
         push = step.push
         wanted = {(force, view) for force in (0.0, push.force_n) for view in push.view.split("+")}
         assert push.radiographs == len(wanted - seen)
@@ -137,12 +157,13 @@ def test_all_views_of_a_push_are_taken_once(scene) -> None:
     assert len(seen) == 6
 
 
-def test_a_lateral_radiograph_may_cost_more(scene) -> None:
-    one = replace(scene, places=scene.places[:1])
-    wish = replace(SMALL, ribs=(8.0,), sides=("left",), views=("frontal+lateral",))
+def test_a_lateral_radiograph_may_cost_more(scene, solved) -> None:
+    wish = replace(SITE, views=("frontal+lateral",))
     with pytest.raises(SubjectError, match=r"exposures for 7 frontal .* as frontal\+lateral takes 8"):
         replace(wish, exposures=7, lateral_cost=3.0)
-    dear, cheap = (make_plan(one, replace(wish, exposures=8, lateral_cost=cost)) for cost in (3.0, 1.0))
+    dear, cheap = (
+        proposal.composed(scene, replace(wish, exposures=8, lateral_cost=cost), *solved) for cost in (3.0, 1.0)
+    )
     assert [step.exposures for step in dear.sequence] == [4]
     assert [step.exposures for step in cheap.sequence] == [4, 6]
     for cost in (0.0, float("inf"), float("nan")):
@@ -150,20 +171,17 @@ def test_a_lateral_radiograph_may_cost_more(scene) -> None:
             replace(wish, lateral_cost=cost)
 
 
-def test_a_lateral_radiograph_tells_of_the_vertebrae_that_it_shows(scene) -> None:
-    assert view_kind(scene.lateral) == "lateral"
-    few = replace(scene, places=scene.places[:1], marked_aside=scene.aside[-3:])
-    wish = replace(SMALL, ribs=(8.0,), sides=("left",), exposures=2)
-    found, more = (make_plan(one, wish) for one in (few, replace(few, marked_aside=None)))
-    fewer, all_of_them = (
-        {(push.view, push.force_n): push.factors["tissue"] for push in one.next} for one in (found, more)
-    )
+def test_a_lateral_radiograph_tells_of_the_vertebrae_that_it_shows(one) -> None:
+    assert view_kind(one.lateral) == "lateral"
+    few = replace(one, marked_aside=one.aside[-3:])
+    plans = [make_plan(seen, replace(SITE, exposures=2)) for seen in (few, replace(few, marked_aside=None))]
+    fewer, all_of_them = ({(push.view, push.force_n): push.factors["tissue"] for push in plan.next} for plan in plans)
     assert fewer["frontal", 30.0] == all_of_them["frontal", 30.0]
     assert fewer["frontal+lateral", 30.0] > all_of_them["frontal+lateral", 30.0]
 
 
 def test_axial_rotation_is_a_target_where_it_is_estimated(scene) -> None:
-    wish = replace(SMALL, target="rotation", ribs=(8.0,), sides=("left",), exposures=4)
+    wish = replace(FRONTAL, target="rotation", exposures=4)
     with pytest.raises(SubjectError, match=r"no ratio axial_rotation .* with axial_rotation among its --parameters"):
         make_plan(scene, wish)
     places = np.column_stack([scene.places, np.zeros(len(scene.places))])[:1]
@@ -196,15 +214,15 @@ def test_a_sequence_begins_with_the_best_and_counts_unloaded_radiographs(plan) -
     assert count <= SMALL.exposures
 
 
-def test_once_a_step_hardly_narrows_none_after_it_pays(scene, monkeypatch) -> None:
+def test_once_a_step_hardly_narrows_none_after_it_pays(scene, solved, monkeypatch) -> None:
     monkeypatch.setattr(proposal, "PAYS", 0.12)
-    found = make_plan(replace(scene, places=scene.places[:1]), replace(SMALL, exposures=8))
-    flags = [step.pays for step in found.sequence]
+    longer = proposal.composed(scene, replace(SMALL, exposures=8), *solved)
+    flags = [step.pays for step in longer.sequence]
     assert flags[0]
     assert not flags[-1]
     assert flags == sorted(flags, reverse=True)
-    assert pays(found) == tuple(step for step in found.sequence if step.pays)
-    assert any("hardly narrow it after" in line for line in plan_lines(found))
+    assert pays(longer) == tuple(step for step in longer.sequence if step.pays)
+    assert any("hardly narrow it after" in line for line in plan_lines(longer))
 
 
 def test_where_nothing_pays_no_radiograph_is_asked_for(plan) -> None:
@@ -234,7 +252,7 @@ def test_the_sheet_lists_lateral_radiographs_after_the_frontal_ones_of_the_same_
     assert "hold it until both" not in protocol_page(plan.model_copy(update={"sequence": one_view}), "anna")
 
 
-def test_a_push_that_does_not_settle_is_left_out(scene, monkeypatch) -> None:
+def test_a_push_that_does_not_settle_is_left_out(one, monkeypatch) -> None:
     solve = EquilibriumProblem.solve
 
     def sometimes(self, load, *args, **kwargs):
@@ -243,7 +261,7 @@ def test_a_push_that_does_not_settle_is_left_out(scene, monkeypatch) -> None:
         return solve(self, load, *args, **kwargs)
 
     monkeypatch.setattr(EquilibriumProblem, "solve", sometimes)
-    found = make_plan(replace(scene, places=scene.places[:1]), SMALL)
+    found = make_plan(one, replace(FRONTAL, sides=("left", "right")))
     assert {(push.side, push.force_n) for push in found.next} == {("left", 15.0), ("right", 15.0), ("right", 30.0)}
 
 
@@ -277,7 +295,7 @@ def test_what_is_known_now_is_what_the_estimate_knows_to_first_order(finished, s
     """At the estimate's place; there nuisances are 0 here, and as estimated there."""
     estimate = read_outcome(open_visit(finished.folder).subject, Estimate)
     here = np.log([[estimate.ratios[name].value for name in estimate.parameters]])
-    found = make_plan(replace(scene, places=here), replace(SMALL, ribs=(8.0,), sides=("left",), exposures=2))
+    found = make_plan(replace(scene, places=here), FRONTAL)
     sds = np.sqrt(np.diag(np.array(estimate.covariance_log, dtype=float)))
     for name, sd in zip(estimate.parameters, sds):
         assert np.log(found.now[name]) == pytest.approx(1.96 * sd, rel=0.4)
@@ -291,7 +309,7 @@ def test_a_push_that_was_planned_and_taken_narrows_as_was_promised(finished, sce
     loaded = [item for item in items if item.force_n > 0.0]
     half = replace(pushes, trials=tuple(i for i in items if i.force_n <= loaded[0].force_n))
     less = replace(scene, taken=half, places=scene.places[:1], tracking_factor=1.0)
-    site = replace(SMALL, ribs=(8.0,), sides=(finished_side(finished),), limit_n=loaded[-1].force_n, exposures=2)
+    site = replace(FRONTAL, sides=(finished_side(finished),), limit_n=loaded[-1].force_n)
     promised = make_plan(less, site)
     both = make_plan(replace(scene, places=scene.places[:1], tracking_factor=1.0), site)
     assert promised.next[0].expected_factor < promised.now["lateral_bending"]
@@ -304,9 +322,8 @@ def finished_side(finished):
     return open_visit(finished.folder).subject.push("main").side
 
 
-def test_a_cobb_angle_is_a_target(scene) -> None:
-    wish = replace(SMALL, target="cobb", predicted=Frame("right", 8.0, 25.0))
-    found = make_plan(replace(scene, places=scene.places[:1]), wish)
+def test_a_cobb_angle_is_a_target(one) -> None:
+    found = make_plan(one, replace(SITE, target="cobb", predicted=Frame("right", 8.0, 25.0)))
     degrees = [push.expected_deg for push in found.next]
     assert all(push.expected_factor is None for push in found.next)
     assert degrees == sorted(degrees)
@@ -316,48 +333,38 @@ def test_a_cobb_angle_is_a_target(scene) -> None:
     assert "predicted Cobb angle under 25 N from the right at rib 8: now within" in plan_lines(found)[0]
 
 
-def test_a_tape_narrows_tissue(scene) -> None:
-    wish = replace(SMALL, target="tissue", ribs=(8.0,), sides=("left",))
-    found = make_plan(replace(scene, places=scene.places[:1]), wish)
-    assert found.taped < found.now["tissue"]
-    taped = replace(scene, places=scene.places[:1], known=replace(scene.known, taped=True))
-    assert make_plan(taped, wish).taped is None
+def test_a_tape_narrows_tissue(one, scene, solved) -> None:
+    plan = proposal.composed(scene, replace(SMALL, target="tissue"), *solved)
+    assert plan.taped < plan.now["tissue"]
+    taped = replace(one, known=replace(one.known, taped=True))
+    assert make_plan(taped, FRONTAL).taped is None
 
 
-def test_pushes_that_bend_too_far_are_left_out_and_named(scene, monkeypatch) -> None:
-    one = replace(scene, places=scene.places[:1])
+def test_pushes_that_bend_too_far_are_left_out_and_named(one, solved, monkeypatch) -> None:
+    wish = replace(SMALL, sides=("left",), views=("frontal",))
     monkeypatch.setattr(states, "MOST_TURN", np.deg2rad(0.01))
     with pytest.raises(EquilibriumError, match=r"no push of 15 to 30 N .* smaller forces with --limit"):
-        make_plan(one, replace(SMALL, sides=("left",)))
+        make_plan(one, replace(wish, ribs=(8.0,)))
     # Between what half and the whole of the force do.
-    turned = turns(one, SMALL)
+    turned = turns(one, solved[0])
     monkeypatch.setattr(states, "MOST_TURN", 0.5 * (max(turned[15.0]) + min(turned[30.0])))
-    found = make_plan(one, replace(SMALL, sides=("left",)))
-    assert {push.force_n for push in found.next} == {15.0}
-    (note,) = found.notes
+    less = make_plan(one, wish)
+    assert {push.force_n for push in less.next} == {15.0}
+    (note,) = less.notes
     assert note.startswith("30 N from the left at ribs 6, 8: left out; ")
 
 
-def turns(scene, wish):
-    """Largest turns between vertebrae, rad, by force, of pushes from the left."""
-    from spinestiff.anatomy.regions import parameter_groups
-    from spinestiff.anatomy.stiffness import StiffnessRatios
-    from spinestiff.imaging.features import silhouette_shares, state_features
-    from spinestiff.mechanics.loads import rib_push
-    from spinestiff.mechanics.push import push_problem
-
+def turns(scene, carried):
+    """Largest turns between vertebrae at the first place, rad, by force, of pushes from the left."""
     torso, view = scene.torso, scene.view
-    ratios = StiffnessRatios(parameter_groups(torso, scene.names), np.exp(scene.places[0]))
-    problem = push_problem(torso, "left", scene.rig)
     shares = silhouette_shares(torso, view, torso.rest_pose)
     rest = state_features(torso, view, torso.rest_pose, shares).angle
-    found = {}
-    for frame in wish.frames:
+    turned = {}
+    for frame, state in zip(carried.frames, carried.states[0][len(carried.known) :], strict=True):
         if frame.side == "left":
-            state = problem.solve(rib_push(torso, "left", frame.level, frame.force_n), ratios).require().state
             turn = np.ptp(state_features(torso, view, state, shares).angle - rest)
-            found.setdefault(frame.force_n, []).append(turn)
-    return found
+            turned.setdefault(frame.force_n, []).append(turn)
+    return turned
 
 
 def test_before_any_push_a_plan_is_for_the_population(subject) -> None:
@@ -382,7 +389,7 @@ def test_before_any_push_a_plan_is_for_the_population(subject) -> None:
     assert np.array_equal(scene.places, population_places())
     assert set(scene.aside) == set(aside)
     assert set(hidden) < set(scene.vertebrae)
-    found = make_plan(replace(scene, places=scene.places[:2]), replace(SMALL, ribs=(8.0,), exposures=4))
+    found = make_plan(replace(scene, places=scene.places[:1]), FRONTAL)
     assert (found.basis, found.taken, found.now, found.estimated) == ("population", 0, {}, {})
     assert found.sequence[0].pays
     assert "before any push" in plan_lines(found)[0]
@@ -450,7 +457,7 @@ def test_what_cameras_saw_is_no_radiograph_that_was_taken(scene) -> None:
             places=[],
             states=[],
         )
-        return widths.ExpectedWidths(replace(scene, taken=pushes), SMALL, carried)
+        return widths.ExpectedWidths(replace(scene, taken=pushes), carried)
 
     points, outward = spread_markers(scene.torso, 8, np.full((1, 3), 1e4))
     names, there = tuple(f"m{i}" for i in range(8)), points.positions(scene.torso, scene.torso.rest_pose)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-import trimesh
 from scipy.optimize import brentq
 
 from spinestiff.anatomy.template.surfaces import Surface, signed_volume
@@ -26,6 +25,8 @@ def rounded(skin: Surface, spacing: float) -> Surface:
     ----------
     skin : closed and outward, mm. spacing : of the mesh's corners on it, mm.
     """
+    import trimesh
+
     vertices, faces = skin
     corners = vertices[faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from spinestiff.arrays import Floats
 from spinestiff.estimation.emulator import Emulator, Place
@@ -70,7 +70,7 @@ def linear_ratios(fit: WeighedFit, visited: Sequence[Place], limits: tuple[float
     model = reduced(fit.point, fit.slope, fit.weights)
     precision = model.ratios.T @ model.ratios + np.eye(len(best)) / (limits[1] - limits[0]) ** 2
     covariance = np.asarray(np.linalg.inv(precision), dtype=float)
-    reach = WIDTH_FACTOR * norm.ppf(0.5 + 0.5 * CONFIDENCE) * np.sqrt(np.diag(covariance))
+    reach = WIDTH_FACTOR * ndtri(0.5 + 0.5 * CONFIDENCE) * np.sqrt(np.diag(covariance))
     low, high = best - reach, best + reach
     open_low, open_high = low <= limits[0], high >= limits[1]
     kinds = tuple(

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq, minimize
-from scipy.stats import chi2, multivariate_t
 from skimage.measure import find_contours
 
 from spinestiff.arrays import Floats, ShortRepr
@@ -172,6 +171,8 @@ def _likelier(places: Sequence[Place], weights: Weights) -> WeighedPoint | None:
 
 def region_rise(count: int) -> float:
     """By how much 2 phi rises at the outline of the joint 95 % region of ``count`` ratios."""
+    from scipy.stats import chi2
+
     return float(WIDTH_FACTOR**2 * chi2.ppf(CONFIDENCE, count))
 
 
@@ -435,6 +436,8 @@ def _region(emulator: Emulator, best: Floats, low: Floats, high: Floats) -> Floa
 
 def _candidates(best: Floats, covariance: Floats, limits: tuple[float, float]) -> tuple[Floats, Floats]:
     """Places (C, P) inside the bounds, more widely spread than draws will be, and their log density (C,)."""
+    from scipy.stats import multivariate_t
+
     wide = multivariate_t(best, 1.3 * WIDTH_FACTOR**2 * covariance, df=4, seed=np.random.default_rng(0))
     candidates = np.atleast_2d(wide.rvs(CANDIDATES).reshape(CANDIDATES, -1))
     candidates = candidates[np.all((candidates >= limits[0]) & (candidates <= limits[1]), axis=1)]

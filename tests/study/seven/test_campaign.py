@@ -16,7 +16,7 @@ from spinestiff.study.seven.participants import seven
 from spinestiff.study.seven.subject import result_file
 from spinestiff.study.visit import Settings
 from spinestiff.subject.program import program_of_numbers
-from study_runners import made, one_killed, unforeseen
+from study_runners import made, one_killed, unforeseen, without_memory
 
 SETTINGS = Settings(mesh="coarse")
 FIRST = seven()[:3]
@@ -28,19 +28,30 @@ def run(folder, workers, study=made):
     return found, lines
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_subject_that_fails_leaves_the_others_alone(tmp_path, workers):
-    found, lines = run(tmp_path, workers)
+def test_subjects_that_fail_leave_the_others_alone(tmp_path):
+    found, lines = run(tmp_path, 1)
     assert set(found.outcomes) == {"subject-1", "subject-3"}
     assert found.failures == {"subject-2": "no equilibrium"}
     assert ("subject-2", "failed: no equilibrium") in lines
     assert {("subject-1", "making"), ("subject-1", "done"), ("subject-3", "done")} <= set(lines)
 
 
-def test_processes_have_one_thread_each_and_leave_the_environment_as_it_was(tmp_path, monkeypatch):
+def test_errors_that_were_not_foreseen_are_failures_of_their_subjects_alone(tmp_path):
+    found, _ = run(tmp_path, 1, unforeseen)
+    assert set(found.outcomes) == {"subject-3"}
+    assert found.failures == {
+        "subject-1": "MemoryError: no room for an array",
+        "subject-2": "OSError: [Errno 28] No space left on device",
+    }
+
+
+def test_so_it_is_with_a_process_each_on_one_thread_and_the_environment_stays_as_it_was(tmp_path, monkeypatch):
     monkeypatch.setenv("SPINESTIFF_THREADS", "3")
-    found, _ = run(tmp_path, 2)
-    assert found.outcomes["subject-1"].age == 1.0
+    found, lines = run(tmp_path, 2, without_memory)
+    assert found.failures == {"subject-1": "MemoryError: no room for an array", "subject-2": "no equilibrium"}
+    assert [name for name, line in lines if line == "making"].count("subject-2") == 1
+    assert {("subject-2", "failed: no equilibrium"), ("subject-3", "making"), ("subject-3", "done")} <= set(lines)
+    assert {name: one.age for name, one in found.outcomes.items()} == {"subject-3": 1.0}
     assert threads() == 3
     again, _ = run(tmp_path / "new", 1)
     assert again.outcomes["subject-1"].age == 3.0
@@ -83,16 +94,6 @@ def test_a_process_that_ends_by_itself_is_tried_once_more_and_takes_no_other_wit
     assert found.failures == {"subject-1": ENDED}
     assert [line for line in lines if line[1] == AGAIN].count(("subject-1", AGAIN)) == 1
     assert ("subject-2", AGAIN) in lines and ("subject-3", AGAIN) not in lines
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_an_error_that_was_not_foreseen_is_a_failure_of_its_subject_alone(tmp_path, workers):
-    found, _ = run(tmp_path, workers, unforeseen)
-    assert set(found.outcomes) == {"subject-3"}
-    assert found.failures == {
-        "subject-1": "MemoryError: no room for an array",
-        "subject-2": "OSError: [Errno 28] No space left on device",
-    }
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")

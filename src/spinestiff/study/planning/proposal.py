@@ -40,7 +40,7 @@ def make_plan(scene: Scene, wish: Wish, say: Observer = lambda line: None) -> Pl
             f"run spinestiff estimate with {RATIO_OF[wish.target]} among its --parameters, or choose another target"
         )
     carried = CarriedPushes(scene, wish, say)
-    widths = ExpectedWidths(scene, wish, carried, say)
+    widths = ExpectedWidths(scene, carried, say)
     return composed(scene, wish, carried, widths, say)
 
 
@@ -57,7 +57,7 @@ class _Option:
 def composed(
     scene: Scene, wish: Wish, carried: CarriedPushes, widths: ExpectedWidths, say: Observer = lambda line: None
 ) -> Plan:
-    """The plan of a wish that allows no more than the one that ``carried`` and ``widths`` were made for.
+    """The plan of a wish that allows no more than the one that ``carried`` was made for; target and costs are its own.
 
     Raises
     ------
@@ -67,6 +67,13 @@ def composed(
     candidates = [one for one in carried.candidates if one.frame in frames and one.view in wish.views]
     if not candidates:
         raise none_carried(wish)
+
+    def size_of(width: Width) -> float:
+        """What is to become small."""
+        if wish.target != "cobb":
+            return width.logs[scene.names.index(RATIO_OF[wish.target])]
+        assert width.degrees is not None
+        return width.degrees
 
     def described(option: _Option) -> PlannedPush:
         frame, width = option.candidate.frame, option.width
@@ -88,7 +95,7 @@ def composed(
         found = []
         for candidate in candidates:
             added = widths.radiographs(candidate, taken)
-            if added and (cost := widths.cost(added)) <= at_most + ROUNDING:
+            if added and (cost := widths.cost(added, wish.lateral_cost)) <= at_most + ROUNDING:
                 found.append(_Option(candidate, added, cost, widths.of((*taken, *added))))
         return found
 
@@ -101,7 +108,7 @@ def composed(
     say("comparing")
     singles = sorted(((described(one), one) for one in options(widths.taken, np.inf)), key=narrowness)
     taken, sequence, first = widths.taken, list[PlanStep](), singles[0][1].added
-    size, spent, pays = widths.size(widths.of(taken)), 0.0, True
+    size, spent, pays = size_of(widths.of(taken)), 0.0, True
     while True:
         count = len(taken) - len(widths.taken)
         say(f"sequence: {counted(count, 'exposure')}")
@@ -109,16 +116,16 @@ def composed(
         if not found:
             break
         before = size
-        best = min(found, key=lambda one: (widths.size(one.width) - before) / one.cost)
+        best = min(found, key=lambda one: (size_of(one.width) - before) / one.cost)
         first = first if sequence else best.added
-        taken, spent, size = (*taken, *best.added), spent + best.cost, widths.size(best.width)
+        taken, spent, size = (*taken, *best.added), spent + best.cost, size_of(best.width)
         pays = pays and 1.0 - size / before > PAYS * best.cost
         sequence.append(PlanStep(push=described(best), exposures=count + len(best.added), pays=bool(pays)))
     now = widths.of(widths.taken) if widths.taken else None
     taped = None
     if widths.taped:
         with_tape = widths.of(widths.taken or first, taped=True)
-        taped = widths.size(with_tape)
+        taped = size_of(with_tape)
         taped = round(taped if wish.target == "cobb" else float(np.exp(taped)), 3)
     notes = [*scene.doubts, *_left_out([frame for frame in carried.left_out if frame in frames])]
     if len(carried.places) < len(scene.places):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup
@@ -25,7 +25,7 @@ from spinestiff.observer import Observer
 from spinestiff.parallel import in_parallel
 from spinestiff.study.planning.scene import Scene
 from spinestiff.study.planning.states import CarriedPushes
-from spinestiff.study.planning.wish import RATIO_OF, Candidate, Wish
+from spinestiff.study.planning.wish import Candidate
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class ExpectedWidths:
     taken_radiographs : how many of these are radiographs.
     """
 
-    def __init__(self, scene: Scene, wish: Wish, carried: CarriedPushes, say: Observer = lambda line: None) -> None:
+    def __init__(self, scene: Scene, carried: CarriedPushes, say: Observer = lambda line: None) -> None:
         loaded = [*carried.known, *carried.planned.values()]
         loaded += [] if carried.predicted is None else [carried.predicted]
         still = [*carried.known_still, *carried.still]
@@ -70,11 +70,9 @@ class ExpectedWidths:
         self.taken_radiographs = sum(number not in aside for number in self.taken)
         self._of_push = {push: next(shown) for push in carried.pushes}
         self._own = problem.trials
-        self._lateral_cost = wish.lateral_cost
         self._unseen = len(loaded) - 1 if carried.predicted is not None else None
         if self._unseen is not None:
             self._weights = problem.noise.boxes(self._unseen).turning(*carried.end_vertebrae)
-        self._index = None if wish.target == "cobb" else scene.names.index(RATIO_OF[wish.target])
         self._widest = 0.5 * float(np.log(RATIO_BOUNDS[1] / RATIO_BOUNDS[0]))
 
     def radiographs(self, candidate: Candidate, taken: Sequence[int]) -> tuple[int, ...]:
@@ -83,13 +81,13 @@ class ExpectedWidths:
         wanted = self._of_push[candidate.frame.push][:views] + self._of_frame[candidate.frame][:views]
         return tuple(number for number in wanted if number not in taken)
 
-    def cost(self, radiographs: Sequence[int]) -> float:
+    def cost(self, radiographs: Sequence[int], lateral_cost: float) -> float:
         """In frontal ones."""
-        return sum(1.0 if number < self._own else self._lateral_cost for number in radiographs)
+        return sum(1.0 if number < self._own else lateral_cost for number in radiographs)
 
     def of(self, taken: Sequence[int], taped: bool = False) -> Width:
         """Mean over the places."""
-        reach = WIDTH_FACTOR * norm.ppf(0.5 + 0.5 * CONFIDENCE)
+        reach = WIDTH_FACTOR * ndtri(0.5 + 0.5 * CONFIDENCE)
         designs = self.taped if taped else self.designs
         logs = np.mean([np.minimum(reach * one.ratio_sds(taken), self._widest) for one in designs], axis=0)
         degrees = None
@@ -97,13 +95,6 @@ class ExpectedWidths:
             sds = [one.prediction_sd(taken, self._unseen, self._weights) for one in designs]
             degrees = float(np.degrees(reach * np.mean(sds)))
         return Width(tuple(logs.tolist()), degrees)
-
-    def size(self, width: Width) -> float:
-        """What is to become small."""
-        if self._index is not None:
-            return width.logs[self._index]
-        assert width.degrees is not None
-        return width.degrees
 
 
 class _OneByOne(TrialSet):
