@@ -51,8 +51,8 @@ def pushes(basis):
 
 
 @pytest.fixture(scope="module")
-def fit(basis, pushes):
-    return basis.refit(pushes)
+def fit(finished):
+    return finished.fit
 
 
 def test_effects_are_how_far_corners_move(pushes, fit) -> None:
@@ -65,12 +65,12 @@ def test_effects_are_how_far_corners_move(pushes, fit) -> None:
     values = fit.ratios.as_dict()
     for name in ("intervertebral_bending", "tissue_lambda"):
         squares = []
-        for item in pushes.training:
+        for item, start in zip(pushes.training, there, strict=True):
             problem, target = pushes.problems[item.push], make_target(pushes.torso, item.trial)
             places = []
             for step in (0.02, -0.02):
                 ratios = torso_ratios(pushes.torso, {**values, name: np.exp(step)})
-                state = problem.solve(item.trial.load, ratios).require().state
+                state = problem.solve(item.trial.load, ratios, start.state).require().state
                 seen = state_features(pushes.torso, item.trial.view, state, target.shares, used=target.used)
                 places.append(seen.z[target.rows])
             squares.append(np.sum(((places[0] - places[1]) / 0.04) ** 2, axis=-1))
@@ -86,13 +86,14 @@ def test_gradients_are_the_objectives_slope_at_the_default_and_none_where_it_is_
     assert tuple(row.name for row in rows) == SIX
     assert set(optimum) == {"intervertebral_bending", "tissue"}
     of = {row.name: row for row in rows}
+    starts = [pushes.problems[item.push].solve(item.trial.load).require().state for item in pushes.training]
     for name in ("axial_rotation", "tissue_mu"):
         losses = []
         for step in (0.02, -0.02):
             ratios = torso_ratios(pushes.torso, {name: np.exp(step)})
             total = 0.0
-            for item in pushes.training:
-                state = pushes.problems[item.push].solve(item.trial.load, ratios).require().state
+            for item, start in zip(pushes.training, starts, strict=True):
+                state = pushes.problems[item.push].solve(item.trial.load, ratios, start).require().state
                 target = make_target(pushes.torso, item.trial)
                 seen = state_features(pushes.torso, item.trial.view, state, target.shares, used=target.used)
                 error = seen.z[target.rows] - target.z
@@ -131,6 +132,7 @@ def test_a_held_out_frame_without_a_forecast_takes_no_score_of_those_left_out(ba
         return forecast(pushes, unseen, *args)
 
     monkeypatch.setattr(parameters, "_forecast_errors", failing)
+    monkeypatch.setattr(parameters, "fit_pushes", lambda *args, **kwargs: fit)
     score = model_score(basis, pushes, fit, cross_folds(pushes)[1], lambda line: None)
     assert score.left_out_rmse_mm > 0.0
     assert score.held_out_rmse_mm is None
