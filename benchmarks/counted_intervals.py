@@ -204,6 +204,26 @@ def seed_ranges(rows: Sequence[Row]) -> list[list[int]]:
     return ranges
 
 
+def paired(rows: Sequence[Row], others: Sequence[Row]) -> dict[str, Any]:
+    """The same people twice, otherwise estimated or on another mesh: ``rows`` less ``others`` where both have an
+    estimate. Mean of each, and mean difference with its standard error, of z and of the estimate's log, by ratio.
+    """
+    estimates = [{row["seed"]: row for row in each if "z" in row} for each in (rows, others)]
+    seeds = sorted(estimates[0].keys() & estimates[1].keys())
+    if len(seeds) < 2:
+        raise ValueError(f"{len(seeds)} people have an estimate in both; wanted two or more")
+    found: dict[str, Any] = {"subjects": len(seeds)}
+    for k, name in enumerate(NAMES):
+        z = np.array([[each[seed]["z"][k] for each in estimates] for seed in seeds])
+        logs = np.log([[each[seed]["estimate"][name] for each in estimates] for seed in seeds])
+        found[name] = {"mean_z": np.clip(z, *FAR).mean(0).round(4).tolist()}
+        for key, values in (("z", np.clip(z, *FAR)), ("log", logs)):
+            apart = values[:, 0] - values[:, 1]
+            error = apart.std(ddof=1) / np.sqrt(len(seeds))
+            found[name][f"difference_{key}"] = [round(float(value), 4) for value in (apart.mean(), error)]
+    return found
+
+
 def _thirds(values: np.ndarray) -> Masks:
     """Of values that are not all the same; else there are none."""
     if len(values) and values.min() == values.max():

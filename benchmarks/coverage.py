@@ -4,6 +4,7 @@
     python benchmarks/coverage.py --summary FILE...
     python benchmarks/coverage.py --store [NAME FILE...]
     python benchmarks/coverage.py --json | --markdown [--figures FILE]
+    python benchmarks/coverage.py --pairs NAME NAME
     python benchmarks/coverage.py --rerun FOLDER
 
 The first makes and estimates a scenario's subjects and writes a line each as it goes; a log that exists is gone on
@@ -13,8 +14,9 @@ them. ``--summary`` prints how often the truth lies inside, by ratio and jointly
 tercile of the true ratio, by curve and by kind of body, with the standard errors of so many subjects
 (``counted_intervals.py``). ``--store`` keeps the figures of the kept logs, or a scenario's of others, in
 benchmarks/results/coverage.json, ``--json`` prints that file, ``--markdown`` prints it as the first words of the
-pages and the tables of docs/coverage.md (``--figures`` another such file), and ``--rerun`` repeats the seeds of the
-kept logs, each made as its row says. All of it is synthetic.
+pages and the tables of docs/coverage.md (``--figures`` another such file), ``--pairs`` prints by how much the estimates
+of the same people differ between two scenarios, and ``--rerun`` repeats the seeds of the kept logs, each made as its
+row says. All of it is synthetic.
 Needs the extra ``[mesh]``: every truth has a tissue mesh of its own.
 
 Settings were chosen while the scenarios called "settings" were looked at; the seeds of the others are run once and
@@ -40,7 +42,7 @@ if __name__ == "__main__":
 else:
     raise ImportError("a command, not the package of this name that numba looks for")
 
-from counted_intervals import NAMES, headline, markdown, read_logs, show, summarised
+from counted_intervals import NAMES, headline, markdown, paired, read_logs, show, summarised
 from coverage_rendered import rendered_subject
 from coverage_subjects import START, Acquisition, make_subject, seen_by
 from kept_rows import code, keep, prepare
@@ -80,6 +82,8 @@ SCENARIOS = {
     "coarse pair, three pushes": Scenario("three pushes", 2300, "coarse", 24000, 460),
     "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 24000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 41000, 140),
+    "default chain's people, truth on 10,000 nodes": Scenario("three pushes", 10000, "fine", 41000, 12),
+    "default chain's people, coarse pair": Scenario("three pushes", 2300, "coarse", 41000, 39),
     "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
     "four frames at Table 4's mean": Scenario("four frames", 2300, "coarse", 74000, 30, truth=tuple(START.values())),
     "pushes as planned": Scenario("both sides", 2300, "coarse", 72000, 60),
@@ -224,6 +228,7 @@ def main() -> None:
     parser.add_argument("--logs", type=Path, default=LOGS, metavar="FOLDER")
     parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
     parser.add_argument("--store", nargs="*", metavar=("SCENARIO", "FILE"))
+    parser.add_argument("--pairs", choices=list(SCENARIOS), nargs=2, metavar="SCENARIO")
     parser.add_argument("--json", action="store_true", help="print what is stored")
     parser.add_argument("--markdown", action="store_true", help="print it as the pages have it")
     parser.add_argument("--figures", type=Path, default=RESULTS, metavar="FILE", help="what these two print")
@@ -252,6 +257,12 @@ def main() -> None:
         RESULTS.write_text(json.dumps(entries, indent=1) + "\n")
         for entry in entries:
             show(entry)
+    elif asked.pairs:
+        logs = [log_of(name) for name in asked.pairs]
+        try:
+            print(json.dumps(paired(*(read_logs([log] if log.is_file() else []) for log in logs)), indent=1))
+        except ValueError as error:
+            parser.error(str(error))
     elif asked.rerun:
         campaign(kept(asked.rerun))
         for name in SCENARIOS:
@@ -260,7 +271,7 @@ def main() -> None:
     elif asked.scenario:
         campaign(wanted(asked.scenario, asked.first, asked.count, asked.logs))
     else:
-        parser.error("wanted --scenario, --summary, --store, --json, --markdown or --rerun")
+        parser.error("wanted --scenario, --summary, --store, --json, --markdown, --pairs or --rerun")
 
 
 if __name__ == "__main__":

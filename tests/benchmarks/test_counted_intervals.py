@@ -131,6 +131,23 @@ def test_the_pages_tables_are_the_stored_campaigns():
         assert block in page, f"docs/coverage.md lacks, of coverage.py --markdown: {block}"
 
 
+def test_the_same_people_are_compared_one_by_one():
+    def person(seed, z, log):
+        estimate = {"lateral_bending": 0.1 * np.exp(log), "tissue": 0.04}
+        return subject(seed, z=(z, -0.5), estimate=estimate)
+
+    here = [person(1, 1.0, 0.3), person(2, 2.0, 0.5), person(3, 9.0, 0.0), {"seed": 5, "failed": "why"}]
+    there = [person(2, 0.5, 0.1), person(1, 0.0, 0.1), person(4, 0.0, 0.0), person(5, 0.0, 0.0)]
+    found = counting.paired(here, there)
+    assert found["subjects"] == 2
+    assert found["lateral_bending"] == {
+        "mean_z": [1.5, 0.25], "difference_z": [1.25, 0.25], "difference_log": [0.3, 0.1]
+    }  # fmt: skip
+    assert found["tissue"] == {"mean_z": [-0.5, -0.5], "difference_z": [0.0, 0.0], "difference_log": [0.0, 0.0]}
+    with pytest.raises(ValueError, match="0 people have an estimate in both"):
+        counting.paired(here, [])
+
+
 def test_people_of_one_stiffness_have_no_thirds(rows):
     same = [{**row, "ratios": {"lateral_bending": 0.07, "tissue": 0.04}} for row in rows]
     entry = counting.summarised("one stiffness", same)
