@@ -195,7 +195,7 @@ def test_ratios_that_the_radiographs_cannot_tell_are_named_so(column, clean) -> 
     assert twice.status is FitStatus.NOT_IDENTIFIABLE
     assert np.isinf(twice.covariance[:2]).all()
     assert np.isinf(twice.covariance[2]).tolist() == [True, True, False]
-    once = fit_stiffness(column.problem, clean, same[::2], bounds=BOUNDS, extent="intervals")
+    once = fit_stiffness(column.problem, clean, same[::2], bounds=BOUNDS, extent="estimate")
     assert twice.covariance[2, 2] == pytest.approx(once.covariance[1, 1], rel=0.01)
     assert np.prod(twice.ratios.values[:2]) == pytest.approx(0.3, rel=0.01)
     for low, high in list(twice.intervals95.values())[:2]:
@@ -210,10 +210,10 @@ def test_failing_equilibria_shorten_steps_and_never_raise(column, brittle) -> No
         assert fit.ratios.as_dict()["lateral_bending"] >= 0.37
         assert any(np.isnan(step.loss) and not step.accepted for step in fit.history)
         assert fit.rmse_mm < fit.default_rmse_mm
-    weighed = fit_stiffness(brittle(0.37), data, bounds=BOUNDS)
-    assert weighed.status is FitStatus.STALLED
-    assert not weighed.status.usable
-    assert weighed.likely is None
+        if method == "weighed":
+            assert fit.status is FitStatus.STALLED
+            assert not fit.status.usable
+            assert fit.likely is None
 
 
 def test_a_start_that_takes_too_long_is_left_for_one_nearer_to_the_default(column, clean, monkeypatch) -> None:
@@ -411,7 +411,7 @@ def test_trials_of_one_label_are_refused(column, clean) -> None:
 
 
 def test_default_bounds_are_those_of_the_ratios(column, clean) -> None:
-    assert fit_stiffness(column.problem, clean, method="paper").bounds == RATIO_BOUNDS
+    assert fit_stiffness(column.problem, clean, method="paper", max_iterations=1).bounds == RATIO_BOUNDS
 
 
 def test_eqs_8_10_on_the_template_torso() -> None:

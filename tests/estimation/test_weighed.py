@@ -474,8 +474,7 @@ def test_small_steps_are_as_long_as_those_before_say(found) -> None:
             assert share == pytest.approx(wanted), (fit_for, taken)
 
 
-def test_the_likelihood_is_that_of_the_residuals_with_unknowns_integrated_out(column, asked) -> None:
-    found = column.searched(asked)
+def test_the_likelihood_is_that_of_the_residuals_with_unknowns_integrated_out(asked, found) -> None:
     point, slope = found.point, found.slope
     free = point.values - slope.nuisances @ point.nuisances
     covariance = found.weights.root @ found.weights.root.T + slope.nuisances @ slope.nuisances.T
