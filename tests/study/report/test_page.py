@@ -777,7 +777,7 @@ def odd_html(visit: Visit, tmp_path_factory: pytest.TempPathFactory) -> str:
     write_json(truth, {"ratios": TRUE})
     write_outcome(found.subject, Comparison(truth=read_truth(truth), region_size=6.5, distance2=1.0, inside=True))
     register(found.subject, "assess", Comparison.FILE)
-    return written(Visit(found.subject, found.settings, truth))
+    return told(Visit(found.subject, found.settings, truth))
 
 
 def test_best_predictor_is_marked_and_an_oracle_never_is(odd_html: str) -> None:
