@@ -72,14 +72,18 @@ class Case:
         corners = [change(self.tracked.corners(i)) for i in range(len(FORCES))]
         return replace(self, tracked=TrackedPush.of(self.tracked.view.view(), corners))
 
-    def with_rest(self, template=None, **pictures):
-        """Personalised anew, with other pictures or from another template."""
+    def with_rest(self, height_cm=HEIGHT, **pictures):
+        """Personalised anew, with other pictures or from the template of another height."""
         rest = {**self.rest, **pictures}
-        return replace(self, rest=rest, shaped=personalise(template or template_torso(HEIGHT), rest))
+        return replace(self, rest=rest, shaped=personalise(template(height_cm), rest))
+
+
+def template(height_cm=HEIGHT):
+    return template_torso(height_cm, "coarse")
 
 
 def view_of(make):
-    spine = template_torso(HEIGHT).rest_pose.bone_positions[template_torso(HEIGHT).vertebra_bones]
+    spine = template().rest_pose.bone_positions[template().vertebra_bones]
     return make(shape=(1536, 1024), centre=[0.0, 0.5 * (spine[0, 1] + spine[-1, 1]), 0.0])
 
 
@@ -89,8 +93,7 @@ def seen(torso, view, state, noise):
 
 
 def truth_of(cobb_deg, curve):
-    template = template_torso(HEIGHT)
-    return place_vertebrae(template, *curved_spine(template, cobb_deg, curve), PULLS)
+    return place_vertebrae(template(), *curved_spine(template(), cobb_deg, curve), PULLS)
 
 
 def pictures_of(torso, random):
@@ -116,7 +119,7 @@ def sound():
     )
     record = SubjectRecord(schema_version=1, id="girl", age=13.0, sex="female", height_cm=HEIGHT, pushes=(push,))
     tracked = TrackedPush.of(view, frames)
-    shaped = personalise(template_torso(HEIGHT), rest)
+    shaped = personalise(template(), rest)
     pushes = push_set(shaped.torso, record.pushes, {"main": tracked})
     fit = fit_pushes(pushes, ("lateral_bending", "tissue"), RATIOS, extent="estimate")
     images = ("rest/frontal", "rest/lateral", "push/main")
@@ -223,7 +226,7 @@ def test_pixel_spacing_of_the_pushes_alone(sound):
 
 def test_a_wrong_height(sound):
     tall = replace(sound, record=sound.record.model_copy(update={"height_cm": 190.0}))
-    doubts = tall.with_rest(template_torso(190.0)).doubts()
+    doubts = tall.with_rest(190.0).doubts()
     assert "times as long as the template's at 190 cm, as usual at 15" in doubts["length of the spine"]
     assert "look for a wrong height_cm" in doubts["length of the spine"]
 

@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -777,7 +777,7 @@ def odd_html(visit: Visit, tmp_path_factory: pytest.TempPathFactory) -> str:
     write_json(truth, {"ratios": TRUE})
     write_outcome(found.subject, Comparison(truth=read_truth(truth), region_size=6.5, distance2=1.0, inside=True))
     register(found.subject, "assess", Comparison.FILE)
-    return written(Visit(found.subject, found.settings, truth))
+    return told(Visit(found.subject, found.settings, truth))
 
 
 def test_best_predictor_is_marked_and_an_oracle_never_is(odd_html: str) -> None:
@@ -878,6 +878,13 @@ def test_a_browser_shows_it_without_complaint(visit: Visit, html: str, tmp_path:
     assert "Content Security Policy" in complaints and "<title>ran" not in dom
 
 
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
+    """One browser for what needs no WebGL."""
+    with Tab(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
 def printed_first_page(tab: Tab, html: str, path: Path, paper: str) -> tuple[int, list[str]]:
     """How many sheets the first page takes, and which of its parts stand out of it; px at 96 an inch."""
     path.write_text(html.replace("</head>", "<style>body > :not(.sheet) { display: none }</style></head>"), "utf-8")
@@ -915,52 +922,49 @@ def crowded(content: dict) -> None:
 
 
 @pytest.mark.skipif(browser() is None or sys.platform == "win32", reason="no Chromium to drive by a pipe")
-def test_the_first_page_is_one_sheet_whatever_it_has_to_say(visit: Visit, html: str, tmp_path: Path) -> None:
+def test_the_first_page_is_one_sheet_whatever_it_has_to_say(tab: Tab, visit: Visit, html: str, tmp_path: Path) -> None:
     on_the_sheet = html.partition('<header class="top">')[0].count('class="drawing"')
     assert on_the_sheet == 3
     full = told(changed(visit, tmp_path / "crowded", Estimate, crowded), on_the_sheet)
-    with Tab(tmp_path / "profile") as tab:
-        for name, text in (("usual", html), ("crowded", full)):
-            for paper in PAPERS_MM:
-                pages, out = printed_first_page(tab, text, tmp_path / f"{name}-{paper}.html", paper)
-                assert (pages, out) == (1, []), f"{name}, {paper}"
-        # What would not fit would be seen: twice the words are two sheets.
-        twice = html.replace('class="sheet"', 'class="sheet" style="height: 400mm"')
-        assert printed_first_page(tab, twice, tmp_path / "twice.html", "letter")[0] == 2
+    for name, text in (("usual", html), ("crowded", full)):
+        for paper in PAPERS_MM:
+            pages, out = printed_first_page(tab, text, tmp_path / f"{name}-{paper}.html", paper)
+            assert (pages, out) == (1, []), f"{name}, {paper}"
+    # What would not fit would be seen: twice the words are two sheets.
+    twice = html.replace('class="sheet"', 'class="sheet" style="height: 400mm"')
+    assert printed_first_page(tab, twice, tmp_path / "twice.html", "letter")[0] == 2
 
 
 @pytest.mark.skipif(browser() is None or sys.platform == "win32", reason="no Chromium to drive by a pipe")
-def test_on_a_phone_in_the_dark_and_on_paper(visit: Visit, html: str, tmp_path: Path) -> None:
+def test_on_a_phone_in_the_dark_and_on_paper(tab: Tab, html: str, tmp_path: Path) -> None:
     """Nothing sticks out of the page, figures take the theme's colours, no card is larger than a sheet."""
     page = tmp_path / "report.html"
     page.write_text(html, encoding="utf-8")
     ink = "getComputedStyle(document.querySelector('#certainty .drawing g[style*=\"var(--f-18202a\"]')).fill"
-    with Tab(tmp_path / "profile", 390, 844) as tab:
-        tab.open(page)
-        assert tab.run("document.documentElement.scrollWidth") == 390
-        light = tab.run(ink)
-        tab.theme("dark")
-        assert (light, tab.run(ink)) == ("rgb(24, 32, 42)", "rgb(232, 236, 241)")
-        near = tab.run(
-            "[...document.querySelectorAll('.strip, .s-strip')].flatMap(strip => [...strip.querySelectorAll('span')]"
-            ".filter(one => !one.classList.contains('true')).map(one => one.getBoundingClientRect())"
-            ".map((box, i, all) => i ? box.left - all[i - 1].right : 99))"
-        )
-        assert len(near) > 12 and min(near) > 2.0
-        tab.theme("light")
-        tab.call("Emulation.setEmulatedMedia", media="print")
-        tab.size(703, 960)
-        assert tab.run("document.documentElement.scrollWidth") == 703
-        cards = tab.run(
-            "[...document.querySelectorAll('main .card, main .number, main .box')]"
-            ".map(one => [getComputedStyle(one).breakInside, one.getBoundingClientRect().height])"
-        )
-        assert len(cards) > 10 and {inside for inside, _ in cards} == {"avoid"}
-        assert max(height for _, height in cards) < 253.0 / 25.4 * 96.0
-        tab.run("(document.querySelectorAll('.v-table').forEach(one => { one.open = true; }), 1)")
-        assert tab.run("[...document.querySelectorAll('.v-scroll')].map(one => one.scrollWidth - one.clientWidth)") == [
-            0
-        ]
+    tab.size(390, 844)
+    tab.open(page)
+    assert tab.run("document.documentElement.scrollWidth") == 390
+    light = tab.run(ink)
+    tab.theme("dark")
+    assert (light, tab.run(ink)) == ("rgb(24, 32, 42)", "rgb(232, 236, 241)")
+    near = tab.run(
+        "[...document.querySelectorAll('.strip, .s-strip')].flatMap(strip => [...strip.querySelectorAll('span')]"
+        ".filter(one => !one.classList.contains('true')).map(one => one.getBoundingClientRect())"
+        ".map((box, i, all) => i ? box.left - all[i - 1].right : 99))"
+    )
+    assert len(near) > 12 and min(near) > 2.0
+    tab.theme("light")
+    tab.call("Emulation.setEmulatedMedia", media="print")
+    tab.size(703, 960)
+    assert tab.run("document.documentElement.scrollWidth") == 703
+    cards = tab.run(
+        "[...document.querySelectorAll('main .card, main .number, main .box')]"
+        ".map(one => [getComputedStyle(one).breakInside, one.getBoundingClientRect().height])"
+    )
+    assert len(cards) > 10 and {inside for inside, _ in cards} == {"avoid"}
+    assert max(height for _, height in cards) < 253.0 / 25.4 * 96.0
+    tab.run("(document.querySelectorAll('.v-table').forEach(one => { one.open = true; }), 1)")
+    assert tab.run("[...document.querySelectorAll('.v-scroll')].map(one => one.scrollWidth - one.clientWidth)") == [0]
 
 
 @pytest.mark.skipif(browser() is None or sys.platform == "win32", reason="no Chromium to drive by a pipe")
