@@ -65,12 +65,13 @@ LOGS = RESULTS.with_suffix("")
 class Scenario:
     """``nodes`` of the truth's mesh, ``mesh`` that the estimate ends on, seeds from ``first`` on.
 
-    With ``rendered`` through radiographs (``coverage_rendered``), else from corners (``coverage_subjects``). ``truth``:
-    the true ratios of all, in the order of ``NAMES``; drawn if None.
+    ``nodes`` None: the truth has the estimate's coarse mesh, carried. With ``rendered`` through radiographs
+    (``coverage_rendered``), else from corners (``coverage_subjects``). ``truth``: the true ratios of all, in the order
+    of ``NAMES``; drawn if None.
     """
 
     acquisition: Acquisition
-    nodes: int
+    nodes: int | None
     mesh: Mesh
     first: int
     count: int
@@ -84,6 +85,7 @@ SCENARIOS = {
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 41000, 140),
     "default chain's people, truth on 10,000 nodes": Scenario("three pushes", 10000, "fine", 41000, 12),
     "default chain's people, coarse pair": Scenario("three pushes", 2300, "coarse", 41000, 39),
+    "default chain's people, the estimate's mesh": Scenario("three pushes", None, "coarse", 41000, 39),
     "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
     "four frames at Table 4's mean": Scenario("four frames", 2300, "coarse", 74000, 30, truth=tuple(START.values())),
     "pushes as planned": Scenario("both sides", 2300, "coarse", 72000, 60),
@@ -108,6 +110,7 @@ def made(seed: int, scenario: Scenario) -> Iterator[Made]:
     """The subject of a seed. Raises SpinestiffError where it can't be made."""
     if scenario.rendered:
         with tempfile.TemporaryDirectory() as folder:
+            assert scenario.nodes is not None, "radiographs are of a torso with a mesh of its own"
             found = rendered_subject(seed, scenario.nodes, Path(folder) / "subject")
             yield Made(found.ratios, "", found.cobb_deg, lambda: (found.coarse, found.pushes))
         return

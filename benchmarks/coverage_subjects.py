@@ -151,7 +151,7 @@ class Subject:
 def make_subject(
     seed: int,
     acquisition: Acquisition | Mapping[str, PlacedPush],
-    nodes: int = 3000,
+    nodes: int | None = 3000,
     visit: int = 0,
     annotator: int = 0,
     ratios: Mapping[str, float] | None = None,
@@ -164,6 +164,7 @@ def make_subject(
 
     Parameters
     ----------
+    nodes : of the truth's mesh; None: the estimate's coarse one, carried, where the spine lets it be.
     ratios : true ones; drawn if left out.
 
     Raises
@@ -286,7 +287,7 @@ class _Body:
 
 
 @lru_cache(maxsize=2)  # pushes of one person that follow each other: meshing takes as long as the first pushes
-def _body(seed: int, nodes: int) -> _Body:
+def _body(seed: int, nodes: int | None) -> _Body:
     random = np.random.default_rng([13, seed])
     sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
     age = float(random.uniform(*AGES))
@@ -358,7 +359,7 @@ def _drawn_visit(
 
 
 def _true_torso(
-    random: np.random.Generator, height: float, age: float, sex: Literal["female", "male"], nodes: int, seed: int
+    random: np.random.Generator, height: float, age: float, sex: Literal["female", "male"], nodes: int | None, seed: int
 ) -> TorsoModel:
     body = drawn_body(random, height, age, sex)
     cobb = float(random.uniform(*COBB_DEG)) * float(random.choice([-1.0, 1.0]))
