@@ -83,7 +83,7 @@ def test_tracked_corners_are_where_the_truth_is(finished):
         wanted = view.to_patient_plane(view.from_pixels(np.array(true["corners_px"])[rows]))
         error = view.to_patient_plane(found.corners) - wanted
         good = found.quality > 0.3
-        assert good.mean() > 0.8
+        assert good.mean() >= 0.8
         # 0.3 mm of annotation in each direction, and the tracking's own.
         assert np.sqrt(np.mean(np.sum(error**2, -1)[good])) < 1.0
 

@@ -37,8 +37,8 @@ def test_the_truth_is_measured_on_the_model(finished, made, tmp_path):
     assert at_estimate.distance2 < 1e-6
     assert at_estimate.inside is True
     direction = np.linalg.cholesky(fit.covariance) @ np.array([0.6, 0.8])
-    near = dict(zip(fit.names, np.exp(np.log(fit.ratios.values) + 0.003 * direction).tolist()))
-    assert compare_with_truth(*made, with_truth(tmp_path, **near)).distance2 == pytest.approx(0.003**2, rel=0.2)
+    near = dict(zip(fit.names, np.exp(np.log(fit.ratios.values) + 0.03 * direction).tolist()))
+    assert compare_with_truth(*made, with_truth(tmp_path, **near)).distance2 == pytest.approx(0.03**2, rel=0.1)
     stiff = compare_with_truth(*made, with_truth(tmp_path, lateral_bending=1.0, tissue=1.0))
     assert stiff.truth == {"lateral_bending": 1.0, "tissue": 1.0}
     assert stiff.distance2 > stiff.region_size == made[0].region_size
