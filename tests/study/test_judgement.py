@@ -314,11 +314,11 @@ def test_a_frame_that_is_a_copy_of_another_one(sound, off):
         assert text.startswith(f"push 'main': {where} (limit 0.002); look for a picture stored twice")
 
 
-def test_copies_under_the_same_force_say_nothing_wrong(sound):
+@pytest.mark.parametrize("again", [40.0, 42.0])
+def test_copies_under_about_the_same_force_say_nothing_wrong(sound, again):
     corners = [sound.tracked.corners(i) for i in (0, 1, 2, 2)]
     case = replace(sound, tracked=TrackedPush.of(sound.tracked.view.view(), corners))
-    assert not case.with_push(forces_n=(0.0, 20.0, 40.0, 40.0)).check("frames of their own").text.startswith("not")
-    assert case.with_push(forces_n=(0.0, 20.0, 40.0, 40.0)).check("frames of their own").passed
+    assert case.with_push(forces_n=(0.0, 20.0, 40.0, again)).check("frames of their own").passed
 
 
 def test_the_wrong_side(sound):

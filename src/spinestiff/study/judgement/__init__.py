@@ -60,7 +60,7 @@ def judge_inputs(
         mine = [trial for trial in pushes.trials if trial.push == push.id]
         bent = bending(pushes, mine)
         found += [growth(push, bent, limits), *repeated(push, bent, limits)]
-        found += [direction(pushes, push, mine, limits), copies(push, mine, limits)]
+        found += [direction(pushes, push, mine, limits), copies(pushes, push, mine, limits)]
     found += [length(record, shape, limits), sizes(record, shape, limits), *rest_pictures(shape, limits)]
     sd = float(np.clip(shape.corner_sd_mm, limits.least_sd_mm, limits.most_sd_mm))
     for push in record.pushes:

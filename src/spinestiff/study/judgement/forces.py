@@ -9,7 +9,7 @@ import numpy as np
 
 from spinestiff.arrays import Floats
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE
-from spinestiff.imaging.features import picture_axes
+from spinestiff.imaging.features import picture_axes, vertebra_rows
 from spinestiff.study.frame_selection import SAME_FORCE
 from spinestiff.study.judgement.limits import Limits
 from spinestiff.study.judgement.verdict import check, impossible
@@ -89,25 +89,33 @@ def repeated(push: PushRecord, bending: Sequence[tuple[PushTrial, float]], limit
     )
 
 
-def copies(push: PushRecord, trials: Sequence[PushTrial], limits: Limits) -> Check:
-    """Whether frames of different force are pictures of their own: two exposures never show the very same corners."""
-    name, apart = "frames of their own", []
-    for one, other in combinations(trials, 2):
-        names = tuple(n for n in one.trial.corners.vertebrae if n in other.trial.corners.vertebrae)
-        if names and one.force_n != other.force_n:
-            here, there = (trial.trial.corners.selected(names) for trial in (one, other))
-            both = here.usable & there.usable
-            apart.append((rms((here.corners - there.corners)[both]), one, other))
-    if not apart:
+def copies(pushes: PushSet, push: PushRecord, trials: Sequence[PushTrial], limits: Limits) -> Check:
+    """Whether frames of different force are pictures of their own: two exposures never show the very same corners.
+
+    Forces within ``SAME_FORCE`` of the largest count as one: a fluoroscope may store a picture twice in a row.
+    """
+    name, shapes = "frames of their own", np.full((len(trials), len(pushes.torso.vertebrae), 4, 2), np.nan)
+    for shape, trial in zip(shapes, trials):
+        corners = trial.trial.corners
+        shape[vertebra_rows(pushes.torso, corners)] = np.where(corners.usable[..., None], corners.corners, np.nan)
+    forces = np.array([trial.force_n for trial in trials])
+    near, apart = SAME_FORCE * forces.max(initial=0.0), np.full((len(trials), len(trials)), np.inf)
+    for i, shape in enumerate(shapes):
+        squares = np.sum((shapes - shape) ** 2, axis=-1)
+        count = np.isfinite(squares).sum((1, 2))
+        told = (count > 0) & (np.abs(forces - forces[i]) > near)
+        apart[i, told] = np.sqrt(np.nansum(squares[told], (1, 2)) / count[told])
+    least = float(apart.min(initial=np.inf))
+    if not np.isfinite(least):
         return impossible(name, f"push '{push.id}' has no two usable frames of different force with a vertebra in both")
-    least, one, other = min(apart, key=lambda found: found[0])
+    one, other = (trials[int(i)] for i in np.unravel_index(np.argmin(apart), apart.shape))
     found = f"push '{push.id}': no two frames of different force show the same"
     if least <= limits.same_mm:
         found = (
             f"push '{push.id}': frames {one.frame} and {other.frame}, at {one.force_n:g} and {other.force_n:g} N, show "
             "all corners at the same places"
         )
-    causes = "a picture stored twice, as fluoroscopes do between two exposures, or one exported in the other's place"
+    causes = "a picture stored twice, or one exported in the other's place"
     return check(name, found, least, limits.same_mm, least > limits.same_mm, causes)
 
 
