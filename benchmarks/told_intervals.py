@@ -34,7 +34,7 @@ def told(fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:
     at = np.log([truth[name] for name in NAMES])
     best = np.log(fit.ratios.values)
     rises = [risen(profile, at[i]) for i, profile in enumerate(likely.profiles)]
-    joint = float(likely.emulator.phi(at)[0] - likely.emulator.phi(best)[0])
+    joint = float(likely.emulator.psi(at)[0] - likely.emulator.psi(best)[0])
     return {
         "status": fit.status.name,
         "estimate": fit.ratios.as_dict(),

@@ -16,7 +16,7 @@ from spinestiff.anatomy.tissue_points import PointsOnTissue
 from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import TrialSet
-from spinestiff.estimation.mode import search
+from spinestiff.estimation.mode import likeliest, search
 from spinestiff.estimation.objective import Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios
@@ -192,9 +192,14 @@ class Column:
     def searched(
         self, problem: WeighedProblem, start: Sequence[float] = (1.0, 1.0), max_evaluations: int = 50
     ) -> WeighedFit:
-        """Where the weighed search ends from ratios to ``start`` at."""
+        """Where the weighed search for the least phi ends from ratios to ``start`` at."""
         first = problem.solve(np.log(start), np.zeros(len(problem.unknowns)))
         return search(problem, first, self.limits, max_evaluations)
+
+    def estimated(self, problem: WeighedProblem, start: Sequence[float] = (1.0, 1.0)) -> WeighedFit:
+        """The likeliest ratios, nuisances integrated out."""
+        first = problem.solve(np.log(start), np.zeros(len(problem.unknowns)))
+        return likeliest(problem, first, self.limits, 50)
 
 
 @pytest.fixture(scope="session")
@@ -213,6 +218,28 @@ def brittle(column):
         return problem
 
     return make
+
+
+@pytest.fixture(scope="session")
+def known_exactly() -> Priors:
+    """All that moves an equilibrium is known but the ratios."""
+    return Priors(
+        force_scale=0.0,
+        force_offset_n=0.0,
+        direction_deg=0.0,
+        push_height_mm=0.0,
+        push_depth_mm=0.0,
+        breathing_mm=0.0,
+        obliquity_deg=0.0,
+        shoulder_mm=0.0,
+        frame_obliquity_deg=0.0,
+        frame_shoulder_mm=0.0,
+        trunk=0.0,
+        rib_joints=0.0,
+        tissue_volume=0.0,
+        mesh=0.0,
+        source_distance=0.0,
+    )
 
 
 @pytest.fixture(scope="session")
@@ -235,7 +262,7 @@ def asked(column, noisy) -> WeighedProblem:
 
 @pytest.fixture(scope="session")
 def found(column, asked) -> WeighedFit:
-    return column.searched(asked)
+    return column.estimated(asked)
 
 
 @pytest.fixture(scope="session")

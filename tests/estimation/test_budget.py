@@ -69,7 +69,7 @@ def test_parts_add_up_to_the_fits_covariance(asked, found) -> None:
 
 def test_without_one_unknown_is_what_a_fit_without_it_would_say(column, noisy, found, budget) -> None:
     """Linear at another estimate, so to some percent."""
-    exact = column.searched(column.weighed(noisy, replace(Priors(), trunk=0.0)))
+    exact = column.estimated(column.weighed(noisy, replace(Priors(), trunk=0.0)))
     row = next(row for row in budget.rows if row.name == "trunk size")
     gain = np.array(row.without) / np.array(budget.together)
     assert np.allclose(gain, sd_of(exact) / sd_of(found), rtol=0.05)
@@ -82,7 +82,7 @@ def test_other_priors_against_fits_with_them(column, noisy, asked, found, places
     names = (("force scale", "force_scale"), ("push height", "push_height_mm"), ("annotation", "annotation_mm"))
     for name, prior in names:
         for factor in (0.5, 2.0):
-            again = column.searched(column.weighed(noisy, Priors().scaled(prior, factor)))
+            again = column.estimated(column.weighed(noisy, Priors().scaled(prior, factor)))
             change = next(change for change in changes if (change.name, change.factor) == (name, factor))
             apart = (np.log(change.ratios) - again.point.log_ratios) / sd_of(found)
             assert np.abs(apart).max() < 0.1, (name, factor)
@@ -149,7 +149,7 @@ def test_where_another_prior_bends_the_likelihood_down_nothing_is_known_but_the_
     class Hill:
         """A likelihood that falls along one ratio from its least, as where it ends at a bound."""
 
-        def phi(self, where):
+        def psi(self, where):
             return 50.0 * (where[:, 0] - np.log(0.3)) ** 2 - 0.01 * (where[:, 1] - np.log(10.0)) ** 2
 
     limits = (np.log(0.01), np.log(10.0))

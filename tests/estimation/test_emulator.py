@@ -177,7 +177,7 @@ def test_slopes_of_creases_lead_nowhere(found, places, monkeypatch) -> None:
         off.append((np.abs(apart).max(), np.abs(emulator.phi(far) - known.phi(far)).max()))
     # Nuisances in their prior's sds, and phi.
     assert off[1][0] < 2.0
-    assert off[1][1] < 3.0
+    assert off[1][1] < 5.0
     assert off[0][0] > 20.0
     assert off[0][1] > 30.0
 

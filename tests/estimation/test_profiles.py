@@ -36,26 +36,30 @@ def sd_of(found):
 
 
 def least_rise(asked, found, i, where):
-    """Of phi over the estimate's with log ratio ``i`` given, by Gauss-Newton steps of all else on the model."""
-    point, slope, q, nuisances = found.point, found.slope, np.array(where), found.point.nuisances
-    for _ in range(6):
-        point = asked.solve(q, nuisances, point, slope)
-        slope = asked.slope(point)
-        model = reduced(point, slope, found.weights)
-        others = [j for j in range(len(q)) if j != i]
-        step = np.linalg.lstsq(model.ratios[:, others], -model.values, rcond=None)[0]
-        q[others] += step
-        nuisances = model.nuisances + model.follow[:, others] @ step
-        if np.abs(step).max() < 1e-4:
-            break
-    left = model.values + model.ratios[:, others] @ step
-    return 0.5 * float(left @ left) - phi(found.point, found.weights), q
+    """Of psi over the estimate's with log ratio ``i`` given, by Newton steps of the other on the model."""
+    assert len(where) == 2
+    model, q = reduced(found.point, found.slope, found.weights), np.array(where)
+    least, nuisances = model.psi, found.point.nuisances
+    j, aside, beside = 1 - i, 0.1, []
+    for change in (0.0, aside):
+        point, slope = found.point, found.slope
+        for _ in range(3):
+            point = asked.solve(q + change * np.eye(2)[j], nuisances, point, slope)
+            slope = asked.slope(point)
+            model = reduced(point, slope, found.weights)
+            nuisances = model.nuisances
+        beside.append((model.psi, model.log_precision, model.ratios[:, j] @ model.values, model.ratios[:, j]))
+    rise, precision, slope_there, column = beside[0]
+    gradient = slope_there + (beside[1][1] - precision) / aside
+    step = -gradient / (column @ column)
+    q[j] += step
+    return rise + 0.5 * gradient * step - least, q
 
 
 @pytest.mark.parametrize("i", [0, 1])
 @pytest.mark.parametrize("side", ["low", "high"])
 def test_ends_are_where_the_models_profile_has_risen_enough(asked, found, likely, i, side) -> None:
-    """phi, minimised over all else on the model, rises by 3.84/2 there for a width factor of 1, to 6 % of an sd."""
+    """psi, least over the other ratio on the model, rises by 3.84/2 there for a width factor of 1, to 8 % of an sd."""
     end = float(getattr(likely, side)[i])
     profile = likely.profiles[i]
     start = profile.others[np.argmin(np.abs(profile.log_ratios - end))].copy()
@@ -67,7 +71,7 @@ def test_ends_are_where_the_models_profile_has_risen_enough(asked, found, likely
     steepness = (farther - rise) / step
     wanted = WIDTH_FACTOR**2 * chi2.ppf(0.95, 1)
     assert rise == pytest.approx(0.5 * wanted, abs=0.04 * np.sqrt(wanted))
-    assert abs(0.5 * wanted - rise) / abs(steepness) < 0.06 * sd
+    assert abs(0.5 * wanted - rise) / abs(steepness) < 0.08 * sd
 
 
 class Bent:
@@ -97,7 +101,7 @@ def test_nuisances_that_swing_are_brought_to_rest() -> None:
     assert found
     model = reduced(place.point, place.slope, fit.weights)
     assert abs(model.nuisances[0] - place.point.nuisances[0]) < FARTHEST_NUISANCES
-    assert height == pytest.approx(0.5 * float(model.values @ model.values))
+    assert height == pytest.approx(model.psi)
 
 
 @pytest.mark.parametrize(("second", "starts_from"), [(0.25, "second"), (0.1, "estimate"), (2.0, "estimate")])
@@ -109,7 +113,7 @@ def test_an_end_is_solved_from_a_place_that_is_much_nearer_than_the_estimate(sec
     emulator = SimpleNamespace(
         log_ratios=np.array([place.point.log_ratios for place in places]),
         nuisances=lambda where: (np.ones(1), np.eye(1)),
-        phi=lambda where: np.zeros(1),
+        psi=lambda where: np.zeros(1),
     )
 
     def solve(log_ratios, nuisances, near, slope, real=bent.solve, **limits):
@@ -129,7 +133,7 @@ def test_nothing_is_looked_for_beside_a_place_without_equilibrium(monkeypatch) -
     fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
     places = [Place(start, bent.slope(start))]
     emulator = SimpleNamespace(
-        log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.ones(1), np.eye(1)), phi=lambda where: np.zeros(1)
+        log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.ones(1), np.eye(1)), psi=lambda where: np.zeros(1)
     )
 
     def solve(log_ratios, *args, **limits):
@@ -149,7 +153,7 @@ def test_nothing_is_looked_for_beside_a_place_whose_nuisances_were_not_found(mon
     fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
     places = [Place(start, bent.slope(start))]
     emulator = SimpleNamespace(
-        log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.zeros(1), np.eye(1)), phi=lambda where: np.zeros(1)
+        log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.zeros(1), np.eye(1)), psi=lambda where: np.zeros(1)
     )
     monkeypatch.setattr("spinestiff.estimation.profiles.MOST_AGAIN", 0)
     solved = []
@@ -168,7 +172,7 @@ def test_no_place_is_solved_twice() -> None:
     fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
     places = [Place(point, bent.slope(point)) for point in (start, there)]
     emulator = SimpleNamespace(
-        log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.ones(1), np.eye(1)), phi=lambda where: np.zeros(1)
+        log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.ones(1), np.eye(1)), psi=lambda where: np.zeros(1)
     )
     before = len(bent.solved)
     _solve_ends(bent, fit, emulator, places, [np.array([0.3])], np.eye(1), [])
@@ -209,7 +213,7 @@ def test_the_regions_outline_has_risen_by_the_joint_limit(asked, found, likely) 
 
 
 def test_rise_is_0_at_the_estimate(asked, found) -> None:
-    assert rise_at(asked, found, found.point.log_ratios) == pytest.approx(0.0, abs=1e-5)
+    assert rise_at(asked, found, found.point.log_ratios) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_rise_that_takes_too_many_factorisations_is_given_up(asked, found, monkeypatch) -> None:
@@ -223,7 +227,7 @@ def test_draws_are_those_of_the_posterior(found, likely) -> None:
     sd, best = sd_of(found), found.point.log_ratios
     axes = [best[i] + sd[i] * np.linspace(-5.0, 5.0, 81) for i in (0, 1)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
-    weight = np.exp((likely.emulator.phi(best) - likely.emulator.phi(grid)) / WIDTH_FACTOR**2)
+    weight = np.exp((likely.emulator.psi(best) - likely.emulator.psi(grid)) / WIDTH_FACTOR**2)
     weight /= weight.sum()
     ratios, nuisances = likely.draws
     assert likely.effective > 500.0
@@ -254,7 +258,7 @@ def test_drawn_nuisances_spread_as_the_fit_says(found, likely) -> None:
 
 def ended(column, trials, names=("lateral_bending", "tissue"), start=(1.0, 1.0)):
     asked = column.weighed(trials, names=names)
-    found = column.searched(asked, start)
+    found = column.estimated(asked, start)
     return likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)[0]
 
 
@@ -270,13 +274,13 @@ def test_a_hole_between_places_is_solved_and_not_drawn_from(column, clean) -> No
     """Flexion is known to one side: at first the emulator has places far lower than the estimate."""
     priors = Priors(tissue_volume=0.0, rib_joints=0.0)
     asked = column.weighed(clean, priors, names=("lateral_bending", "flexion_extension"))
-    found = column.searched(asked)
+    found = column.estimated(asked)
     likely, _ = likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)
     assert likely.kinds == ("bounded", "one-sided")
     assert (likely.open_low[1], likely.open_high[1]) == (False, True)
     for profile in likely.profiles:
         assert profile.rise.min() > -0.1
-    heights = likely.emulator.phi(likely.draws[0]) - likely.emulator.phi(found.point.log_ratios)
+    heights = likely.emulator.psi(likely.draws[0]) - likely.emulator.psi(found.point.log_ratios)
     assert heights.min() > -0.1
 
 
@@ -291,7 +295,7 @@ def test_tissue_too_soft_to_be_felt_is_known_to_one_side(column) -> None:
 def test_a_profile_that_hardly_rises_is_followed_to_the_bounds(found, likely) -> None:
     """Bounds 60 standard deviations off, beyond which nothing is known: no profile ends in between."""
     limits = (-60.0 * float(sd_of(found).max()), 60.0 * float(sd_of(found).max()))
-    emulator = SimpleNamespace(phi=lambda where: 1e-4 * np.sum(np.atleast_2d(where) ** 2, axis=1))
+    emulator = SimpleNamespace(psi=lambda where: 1e-4 * np.sum(np.atleast_2d(where) ** 2, axis=1))
     tracer = _Tracer(emulator, np.zeros(2), np.diag(sd_of(found) ** 2), limits, np.zeros((1, 2)))
     for i in range(2):
         profile = tracer.profile(i, 1.92)
@@ -313,7 +317,7 @@ def test_an_interval_holds_a_valley_beside_the_estimates(sign, others) -> None:
         return -np.logaddexp(-0.5 * own, -0.5 * beside)
 
     scouts = np.array([[1.05 * sign, 3.1]]) if others is None else others
-    tracer = _Tracer(SimpleNamespace(phi=height), np.zeros(2), np.diag([0.04, 0.25]), (-6.0, 6.0), scouts)
+    tracer = _Tracer(SimpleNamespace(psi=height), np.zeros(2), np.diag([0.04, 0.25]), (-6.0, 6.0), scouts)
     profile = tracer.profile(0, 1.92)
     assert np.interp(sign, profile.log_ratios, profile.rise) == pytest.approx(1.0, abs=0.1) or others is None
     (near, _), (far, _) = (tracer.end(profile, 0, side, 1.92) for side in (-sign, sign))

@@ -14,6 +14,7 @@ from spinestiff.estimation.mode import search
 from spinestiff.estimation.noise import TRACKED
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.profiles import rise_at
 from spinestiff.estimation.sights import marked_anew
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
@@ -22,23 +23,11 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.places import SupportPlace
 
-EXACT = Priors(
-    force_scale=0.0,
-    force_offset_n=0.0,
-    direction_deg=0.0,
-    push_height_mm=0.0,
-    push_depth_mm=0.0,
-    breathing_mm=0.0,
-    obliquity_deg=0.0,
-    shoulder_mm=0.0,
-    frame_obliquity_deg=0.0,
-    frame_shoulder_mm=0.0,
-    trunk=0.0,
-    rib_joints=0.0,
-    tissue_volume=0.0,
-    mesh=0.0,
-    source_distance=0.0,
-)
+
+@pytest.fixture(scope="module")
+def found(column, asked):
+    """Where phi is least: of the search itself."""
+    return column.searched(asked)
 
 
 def sd_of(found):
@@ -216,9 +205,9 @@ def test_a_short_step_is_tried_before_the_search_ends(column, asked, found, monk
     assert again.short < np.sqrt(2.0 * mode.NEARLY)
 
 
-def test_a_common_scale_of_stiffness_is_never_known_better_than_the_force(column) -> None:
+def test_a_common_scale_of_stiffness_is_never_known_better_than_the_force(column, known_exactly) -> None:
     """Two pushes with a calibration each know it by the root of two better, one push with two frames does not."""
-    priors = replace(EXACT, force_scale=0.3)
+    priors = replace(known_exactly, force_scale=0.3)
     one = column.trials()
     two = [*column.trials(forces=(40.0,)), *column.trials(forces=(40.0,), bones=(5, 6), push="push 2")]
     for data, pushes in ((one, 1), (two, 2)):
@@ -226,7 +215,7 @@ def test_a_common_scale_of_stiffness_is_never_known_better_than_the_force(column
         assert sd_of(found)[0] >= 0.999 * 0.3 / np.sqrt(pushes)
         assert sd_of(found)[0] < 0.4 / np.sqrt(pushes)
     # An offset of 6 N is 15 % of the one frame's 40 N.
-    asked = column.weighed(two[:2], replace(EXACT, force_scale=0.2, force_offset_n=6.0), ("everything",))
+    asked = column.weighed(two[:2], replace(known_exactly, force_scale=0.2, force_offset_n=6.0), ("everything",))
     assert sd_of(column.searched(asked, (1.0,)))[0] >= 0.25
 
 
@@ -262,8 +251,8 @@ def test_measured_supports_pull_as_their_standard_deviation_says(column, asked, 
         assert left == pytest.approx(sd * np.sqrt(1.0 - share), abs=0.06 * sd)
 
 
-def test_what_is_known_exactly_is_no_unknown_and_the_fit_goes_on(column, clean) -> None:
-    asked = column.weighed(clean, EXACT)
+def test_what_is_known_exactly_is_no_unknown_and_the_fit_goes_on(column, clean, known_exactly) -> None:
+    asked = column.weighed(clean, known_exactly)
     assert len(asked.unknowns) == 0
     found = column.searched(asked)
     assert found.status is FitStatus.CONVERGED
@@ -332,6 +321,69 @@ def test_any_start_ends_at_the_same_place(column, asked, found) -> None:
         assert other.status is FitStatus.CONVERGED
         assert phi(other.point, found.weights) == pytest.approx(phi(found.point, found.weights), abs=1e-6)
         assert (np.abs(logs(other) - logs(found)) < 0.01 * sd_of(found)).all()
+
+
+def test_psi_is_that_of_nuisances_integrated_out(column, noisy, known_exactly) -> None:
+    """Of one nuisance, against a sum over its normal quadrature's places, each with its own equilibrium."""
+    asked = column.weighed(noisy, replace(known_exactly, force_scale=0.2))
+    found = column.estimated(asked)
+    places, shares = np.polynomial.hermite_e.hermegauss(9)
+    told, summed = [], []
+    for shift in ([0.0, 0.0], [-0.5, 0.2]):
+        where = logs(found) + shift
+        point = asked.solve(where, np.zeros(1), found.point, found.slope)
+        for _ in range(2):
+            model = reduced(point, asked.slope(point), found.weights)
+            point = asked.solve(where, model.nuisances, point)
+        slope = asked.slope(point)
+        told.append(reduced(point, slope, found.weights).psi)
+        sd = float(np.exp(-reduced(point, slope, found.weights).log_precision))
+        heights = [phi(asked.solve(where, point.nuisances + sd * x, point), found.weights) for x in places]
+        summed.append(-np.log(sd * np.sum(shares * np.exp(0.5 * places**2 - np.array(heights)))))
+    assert told[1] - told[0] == pytest.approx(summed[1] - summed[0], abs=0.03)
+    # What the most probable nuisance alone says is off by more.
+    precisions = told[1] - told[0] - (min_phi(asked, found, [-0.5, 0.2]) - min_phi(asked, found, [0.0, 0.0]))
+    assert abs(precisions) > 0.1
+
+
+def min_phi(asked, found, shift):
+    """phi at the most probable nuisances beside the estimate."""
+    point = asked.solve(logs(found) + shift, found.point.nuisances, found.point, found.slope)
+    for _ in range(2):
+        point = asked.solve(point.log_ratios, reduced(point, asked.slope(point), found.weights).nuisances, point)
+    return phi(point, found.weights)
+
+
+def test_the_estimate_is_where_psi_is_least(column, asked, found) -> None:
+    """On the model, a tenth of a standard deviation to all sides; phi alone falls towards where it was least."""
+    estimate, rises = column.estimated(asked), []
+    sd = sd_of(found)
+    for i, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
+        where = logs(estimate) + 0.1 * sign * sd[i] * np.eye(2)[i]
+        rises.append(rise_at(asked, estimate, where))
+    assert min(rises) > 0.0
+    # One step of differences of 0.25 in log ratio tells the slope of the log determinant to some percent.
+    for above, below in (rises[:2], rises[2:]):
+        assert abs(above - below) < 0.5 * (above + below)
+    assert phi(found.point, estimate.weights) < phi(estimate.point, estimate.weights) - 1e-3
+    assert estimate.tilt is not None and found.tilt is None
+
+
+def test_a_known_tilt_is_followed_from_the_start(column, asked) -> None:
+    """As on a finer mesh: no place beside the end is solved for."""
+    estimate = column.estimated(asked)
+    start = asked.solve(estimate.point.log_ratios, estimate.point.nuisances, estimate.point)
+    again = mode.likeliest(asked, start, column.limits, 50, tilt=estimate.tilt)
+    assert (np.abs(logs(again) - logs(estimate)) < 0.01 * sd_of(estimate)).all()
+    assert len(again.visited) < 3
+
+
+def test_beside_a_limit_the_tilt_is_told_from_inside(column, noisy, asked) -> None:
+    limits = (column.limits[0], float(np.log(0.3)))
+    first = asked.solve(np.log([0.3, 0.3]), np.zeros(len(asked.unknowns)))
+    ended = mode.likeliest(asked, first, limits, 50)
+    assert all((place.log_ratios <= limits[1] + 1e-12).all() for place, _ in ended.visited)
+    assert ended.tilt is not None and (np.abs(ended.tilt.slopes(logs(ended)[None])) > 0.05).any()
 
 
 def test_nuisances_are_eliminated_as_a_covariance_would(asked, found) -> None:
@@ -447,7 +499,7 @@ def test_a_place_without_equilibrium_is_not_tried_again(column, asked, monkeypat
         return replace(point, values=10.0 * point.values) if len(tried) == 2 else point
 
     monkeypatch.setattr(asked, "solve", solve)
-    monkeypatch.setattr(mode, "_guided", lambda places, weights, limits: (nowhere, places[0].point.nuisances))
+    monkeypatch.setattr(mode, "_guided", lambda places, weights, limits, tilt: (nowhere, places[0].point.nuisances))
     ended = column.searched(asked)
     assert tried.count(tuple(nowhere)) == 1
     assert ended.status is FitStatus.CONVERGED

@@ -162,7 +162,7 @@ def _changed(name: str, factor: float, emulator: Emulator, fit: WeighedFit, limi
     offsets = step * np.vstack([np.zeros(count), np.eye(count), -np.eye(count)])
 
     def height(where: Floats) -> tuple[float, Floats]:
-        values = emulator.phi(where + offsets)
+        values = emulator.psi(where + offsets)
         return float(values[0]), (values[1 : 1 + count] - values[1 + count :]) / (2.0 * step)
 
     best = minimize(height, start, jac=True, method="L-BFGS-B", bounds=bounds).x

@@ -1,10 +1,9 @@
 """The weighed fit's residuals as smooth functions of the log ratios, from the places that were solved.
 
-Where a place was solved, residuals, nuisances and their slopes are known. Kriging with a squared-exponential kernel on
-what a first-order model about the estimate leaves carries them to all others at no equilibrium (Morris, Mitchell and
-Ylvisaker 1993). What needs many places (profiles, regions, draws) is read there; the ends of intervals are solved for
-and become places themselves (``profiles``). Where the same residuals are known on a coarser mesh, those tell the
-shape, and what phi differs by at the places of the finer one, which changes slowly, is carried to all others.
+Where a place was solved, residuals, nuisances and their slopes are known. Kriging (``kriging``) carries them to all
+others at no equilibrium. What needs many places (profiles, regions, draws) is read there; the ends of intervals are
+solved for and become places themselves (``profiles``). Where the same residuals are known on a coarser mesh, those tell
+the shape, and what phi differs by at the places of the finer one, which changes slowly, is carried to all others.
 """
 
 from __future__ import annotations
@@ -13,24 +12,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from spinestiff.arrays import Floats
+from spinestiff.estimation.kriging import LENGTH, Kriging
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.weighed import Reduced, Weights, reduced
 
-# Correlation length in log ratio: residuals change their course over a factor of seven or so.
-LENGTH = 2.0
 # Of what phi and nuisances on a finer mesh differ by from those on a coarser one: lengths tried beside ``LENGTH``, each
 # with these variances of what slopes have beside the difference's own, in units of its variance; the likeliest are
 # taken. Where tissue creases, the slope at a place says little of the way to the next one.
 DIFFERENCE_LENGTHS, SLOPE_NOISES = (1.4, 1.0, 0.7, 0.5), (0.0, 0.1, 1.0, 10.0)
-# Relative variance that keeps places close to each other, which first order has a little wrong, from being at odds.
-NUGGET = 1e-4
 # Of a difference's derivatives by its own values, in log ratio.
 DIFFERENCE = 1e-3
 # A place whose nuisances are farther than this from the most probable ones there tells of another part of the space;
-# where phi is higher than the estimate's by ``HIGH``, they may be as far as ``FAR_AND_HIGH``. One where it is higher by
+# where psi is higher than the estimate's by ``HIGH``, they may be as far as ``FAR_AND_HIGH``. One where it is higher by
 # ``HIGHEST`` tells of nothing that matters, one as near as ``NEAREST`` to another of no more than that.
 FARTHEST_NUISANCES, HIGH, FAR_AND_HIGH, HIGHEST, NEAREST = 0.3, 6.0, 1.0, 200.0, 0.03
 _CHUNK = 64
@@ -44,86 +39,6 @@ class Place:
     slope: WeighedSlope
 
 
-class Kriging:
-    """A smooth function through values, and slopes where they are given.
-
-    Parameters
-    ----------
-    places : (K, P). values : (K, R). slopes : (K, R, P) or None: of the first place only, 0.
-    length : of correlation, in log ratio.
-    rising : far from all places the function rises as at the first one; else it is there what it is at the first one.
-    slope_noise : variance of what the slopes have beside the function's own, in units of its variance.
-
-    Attributes
-    ----------
-    log_likelihood : (R,) of what is known, as a Gaussian process of this length and noise and of the likeliest size;
-        give or take a constant.
-    """
-
-    def __init__(
-        self,
-        places: Floats,
-        values: Floats,
-        slopes: Floats | None,
-        length: float = LENGTH,
-        rising: bool = True,
-        slope_noise: float = 0.0,
-    ) -> None:
-        self._places, self._sloped, self._length = places, slopes is not None, length
-        self._base, self._value = places[0], values[0]
-        self._slope = np.zeros((values.shape[1], places.shape[1]))
-        if slopes is not None and rising:
-            self._slope = slopes[0]
-        left = values - self._first_order(places)
-        targets = left
-        if slopes is not None:
-            change = slopes - self._slope
-            targets = np.concatenate(
-                [left, change.transpose(2, 0, 1).reshape(slopes.shape[0] * slopes.shape[2], values.shape[1])]
-            )
-        kernel = self._covariance(places, True)
-        kernel[np.diag_indices_from(kernel)] *= 1.0 + NUGGET
-        if slopes is not None:
-            sloped = np.arange(len(places), len(kernel))
-            kernel[sloped, sloped] += slope_noise
-        factor = cho_factor(kernel + NUGGET * np.eye(len(kernel)), lower=True)
-        self._solved = cho_solve(factor, targets)
-        sizes = np.sum(targets * self._solved, axis=0) / len(kernel)
-        with np.errstate(divide="ignore"):
-            self.log_likelihood = -0.5 * len(kernel) * np.log(sizes) - np.sum(np.log(np.diag(factor[0])))
-
-    def at(self, where: Floats) -> Floats:
-        """(S, R) values at places (S, P)."""
-        return np.asarray(self._first_order(where) + self._covariance(where, False) @ self._solved)
-
-    def slopes(self, where: Floats) -> Floats:
-        """(S, R, P) of the values at places (S, P); only where slopes were given."""
-        count, p = where.shape
-        found = self._covariance(where, True)[count:] @ self._solved
-        return np.asarray(found.reshape(p, count, -1).transpose(1, 2, 0) + self._slope)
-
-    def _first_order(self, where: Floats) -> Floats:
-        return np.asarray(self._value + (where - self._base) @ self._slope.T)
-
-    def _covariance(self, where: Floats, own: bool) -> Floats:
-        """Of values (and, for ``own``, slopes) at some places with values and slopes at the known ones."""
-        apart = (where[:, None] - self._places[None]) / self._length
-        value = np.exp(-0.5 * np.sum(apart**2, axis=2))
-        if not self._sloped:
-            return np.asarray(value)
-        p = apart.shape[2]
-        # d/dy k(x, y) = k (x - y) / l^2, d/dx k = -k (x - y) / l^2, d2/dx dy k = k (1 - dd^T) / l^2.
-        to_slope = [value * apart[..., j] / self._length for j in range(p)]
-        top = np.hstack([value, *to_slope])
-        if not own:
-            return np.asarray(top)
-        rows = [top]
-        for i in range(p):
-            cross = [value * ((i == j) - apart[..., i] * apart[..., j]) / self._length**2 for j in range(p)]
-            rows.append(np.hstack([-value * apart[..., i] / self._length, *cross]))
-        return np.vstack(rows)
-
-
 def _kept(places: Sequence[Place], weights: Weights, telling: bool) -> list[tuple[Place, Reduced]]:
     known = [(place, reduced(place.point, place.slope, weights)) for place in places]
     return _apart(_telling(known) if telling else known)
@@ -131,10 +46,10 @@ def _kept(places: Sequence[Place], weights: Weights, telling: bool) -> list[tupl
 
 def _telling(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:
     """The places that tell of where the estimate may be, the estimate first."""
-    kept, least = places[:1], _height(places[0][1])
+    kept, least = places[:1], places[0][1].psi
     for place, model in places[1:]:
         far = np.abs(place.point.nuisances - model.nuisances).max(initial=0.0)
-        rise = _height(model) - least
+        rise = model.psi - least
         if far < (FARTHEST_NUISANCES if rise < HIGH else FAR_AND_HIGH) and rise < HIGHEST:
             kept.append((place, model))
     return kept
@@ -147,10 +62,6 @@ def _apart(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:
         if min(np.abs(place.point.log_ratios - other.point.log_ratios).max() for other, _ in kept) > NEAREST:
             kept.append((place, model))
     return kept
-
-
-def _height(model: Reduced) -> float:
-    return 0.5 * float(model.values @ model.values)
 
 
 class _Surface:
@@ -187,8 +98,19 @@ class _Surface:
         return self._residuals.at(where), self._columns.at(where).reshape(len(where), *self._shape)
 
 
+@dataclass(frozen=True)
+class _Solved:
+    """On a surface: phi (S,), half the log determinant of the nuisances' precision (S,), the most probable nuisances
+    (S, M) and, if asked for, their covariance (S, M, M), in prior sds."""
+
+    phi: Floats
+    precision: Floats
+    nuisances: Floats
+    covariance: Floats
+
+
 class Emulator:
-    """phi over the log ratios, with nuisances at their most probable (``weighed``).
+    """psi over the log ratios, nuisances integrated out (``weighed``), and its two parts.
 
     Parameters
     ----------
@@ -197,7 +119,7 @@ class Emulator:
     prior_sds : (M,) factors on the nuisances' prior standard deviations.
     telling : keep only places that tell of where the estimate may be.
     rough : where the same residuals are known on a coarser mesh, its estimate first; they tell the shape, ``places``
-        what is to be added to phi and to the most probable nuisances.
+        what is to be added to phi, to the most probable nuisances and to their log precision.
     """
 
     def __init__(
@@ -217,13 +139,14 @@ class Emulator:
         if prior_sds is not None:
             self._sds = prior_sds
 
-    def _difference(self, models: list[Reduced]) -> tuple[Kriging, Kriging]:
-        """Of phi, and of the most probable nuisances, at the kept places, from what the surface alone has there.
+    def _difference(self, models: list[Reduced]) -> tuple[Kriging, Kriging, Kriging]:
+        """Of phi, of the most probable nuisances, and of half their precision's log determinant, at the kept places,
+        from what the surface alone has there.
 
-        Each may be one that goes over within a short way, which then keeps to where it was seen: carried on as far as
-        residuals are, it would dig holes where nothing was solved. One place tells no length.
+        Each of the first two may be one that goes over within a short way, which then keeps to where it was seen:
+        carried on as far as residuals are, it would dig holes where nothing was solved. One place tells no length.
         """
-        wanted = np.array([[_height(model), *model.nuisances] for model in models])
+        wanted = np.array([[model.psi - model.log_precision, *model.nuisances] for model in models])
         slopes = np.array([np.vstack([model.ratios.T @ model.values, model.follow]) for model in models])
         steps = DIFFERENCE * np.eye(self.log_ratios.shape[1])
         own, climbing = self._on_surface(self.log_ratios), np.zeros_like(slopes)
@@ -231,7 +154,12 @@ class Emulator:
             ahead, behind = (self._on_surface(self.log_ratios + sign * step) for sign in (1.0, -1.0))
             climbing[:, :, i] = (ahead - behind) / (2.0 * DIFFERENCE)
         apart, changing = wanted - own, slopes - climbing
-        return self._likeliest(apart[:, :1], changing[:, :1]), self._likeliest(apart[:, 1:], changing[:, 1:])
+        precise = np.array([model.log_precision for model in models]) - self._solved(self.log_ratios).precision
+        return (
+            self._likeliest(apart[:, :1], changing[:, :1]),
+            self._likeliest(apart[:, 1:], changing[:, 1:]),
+            Kriging(self.log_ratios, precise[:, None], None),
+        )
 
     def _likeliest(self, values: Floats, slopes: Floats) -> Kriging:
         """Through values (K, R) and slopes (K, R, P) at the kept places, of the length and noise that they tell."""
@@ -244,24 +172,36 @@ class Emulator:
         return max(tried, key=lambda one: float(one.log_likelihood[told].sum()))
 
     def _on_surface(self, where: Floats) -> Floats:
-        phi, nuisances, _ = self._solved(where)
-        return np.column_stack([phi, nuisances])
+        solved = self._solved(where)
+        return np.column_stack([solved.phi, solved.nuisances])
 
     def phi(self, log_ratios: Floats) -> Floats:
-        """(S,) at places (S, P)."""
+        """(S,) with nuisances at their most probable, at places (S, P)."""
+        return self._parts(log_ratios)[0]
+
+    def psi(self, log_ratios: Floats) -> Floats:
+        """(S,) with nuisances integrated out, at places (S, P)."""
+        phi, precision = self._parts(log_ratios)
+        return phi + precision
+
+    def _parts(self, log_ratios: Floats) -> tuple[Floats, Floats]:
+        """(S,) phi, and half the log determinant of the nuisances' precision, at places (S, P)."""
         where = np.atleast_2d(log_ratios)
-        phi = self._solved(where)[0]
-        return phi if self._added is None else np.asarray(phi + self._added[0].at(where)[:, 0])
+        solved = self._solved(where)
+        if self._added is None:
+            return solved.phi, solved.precision
+        phi, _, precision = (added.at(where)[:, 0] for added in self._added)
+        return solved.phi + phi, solved.precision + precision
 
     def nuisances(self, log_ratios: Floats) -> tuple[Floats, Floats]:
         """Most probable nuisances (M,) at a place (P,), and their covariance (M, M) there, in prior sds."""
         where = np.atleast_2d(log_ratios)
-        _, found, inverse = self._solved(where, True)
-        most = found if self._added is None else found + self._added[1].at(where)
-        return most[0], inverse[0]
+        solved = self._solved(where, True)
+        most = solved.nuisances if self._added is None else solved.nuisances + self._added[1].at(where)
+        return most[0], solved.covariance[0]
 
-    def _solved(self, where: Floats, covariance: bool = False) -> tuple[Floats, Floats, Floats]:
-        phi, most, inverses = [], [], []
+    def _solved(self, where: Floats, covariance: bool = False) -> _Solved:
+        phi, precision, most, inverses = [], [], [], []
         for begin in range(0, len(where), _CHUNK):
             part = where[begin : begin + _CHUNK]
             residuals, columns = self._surface.at(part)
@@ -271,7 +211,13 @@ class Emulator:
             right = np.einsum("snm,sn->sm", columns, free)
             solved = np.linalg.solve(normal, right[..., None])[..., 0]
             phi.append(0.5 * (np.sum(free**2, axis=1) - np.sum(right * solved, axis=1)))
+            precision.append(0.5 * np.linalg.slogdet(normal)[1])
             most.append(-solved * self._sds)
             if covariance:
                 inverses.append(np.linalg.inv(normal) * np.outer(self._sds, self._sds))
-        return np.concatenate(phi), np.concatenate(most), np.concatenate(inverses) if covariance else np.zeros(0)
+        return _Solved(
+            np.concatenate(phi),
+            np.concatenate(precision),
+            np.concatenate(most),
+            np.concatenate(inverses) if covariance else np.zeros(0),
+        )

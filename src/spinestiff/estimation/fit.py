@@ -23,7 +23,7 @@ from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
 from spinestiff.estimation.fitted import METHODS, FitEnd, Method, StiffnessFit, Weighed
 from spinestiff.estimation.forecast import Forecast, forecast
 from spinestiff.estimation.linear import MOST_PROFILED, linear_ratios
-from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, search
+from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, likeliest, search
 from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
@@ -125,8 +125,13 @@ def fit_stiffness(
     covariance = np.full((len(names),) * 2, np.nan)
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
-        found = _searched(asked, first, nuisances, default, limits, max_iterations, close_sd)
+        start_point = _start_point(asked, first, nuisances, default, limits)
         places = _rough_places(asked, rough)
+        if len(names) > MOST_PROFILED:
+            found = search(asked, start_point, limits, max_iterations, close_sd)
+        else:
+            tilt = rough.weighed.tilt if rough is not None and rough.weighed is not None and places else None
+            found = likeliest(asked, start_point, limits, max_iterations, close_sd, tilt)
         likely, known = _likely(asked, found, limits, extent, places)
         point, status = found.point.evaluation, found.status
         covariance = ratio_covariance(found)
@@ -275,15 +280,13 @@ def _asked(
     return WeighedProblem(trial_set, still, orientation, priors, geometry, taped, held)
 
 
-def _searched(
+def _start_point(
     asked: WeighedProblem,
     first: Floats,
     nuisances: Floats,
     default: Evaluation | None,
     limits: tuple[float, float],
-    max_iterations: int,
-    close_sd: float,
-) -> WeighedFit:
+) -> WeighedPoint:
     near = None if default is None else asked.at(default)
     # A start may lie where tissue creases, and take hundreds of factorisations; nearer to the default it does not.
     for share in NEARER_STARTS if first.any() else ():
@@ -299,7 +302,7 @@ def _searched(
         except EquilibriumError as error:
             raise NoMinimum(f"no equilibrium at the start of the fit, {error}") from None
     asked.trial_set.note(start.log_ratios, float("nan"), start.evaluation, True)
-    return search(asked, start, limits, max_iterations, close_sd)
+    return start
 
 
 def _started(asked: WeighedProblem, log_ratios: Floats, nuisances: Floats, near: WeighedPoint | None) -> WeighedPoint:

@@ -13,6 +13,7 @@ from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.estimation.budget import Budget, PriorChange
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import FitCost, FitStep
+from spinestiff.estimation.kriging import Kriging
 from spinestiff.estimation.linear import MOST_PROFILED, Combination
 from spinestiff.estimation.objective import Residuals
 from spinestiff.estimation.profiles import Likely
@@ -90,6 +91,8 @@ class Weighed(ShortRepr):
     best_known : the combination of ratios that the data know best, to first order; None where a ratio alone is.
     log_likelihood : of the data at the estimate, with all that is not quite known integrated out to first order.
     places : that intervals come from, the estimate first; empty without profiles.
+    tilt : half the log determinant of the nuisances' precision over the log ratios (``weighed``); None where nuisances
+        were not integrated out.
     """
 
     nuisances: tuple[NuisanceEstimate, ...]
@@ -107,6 +110,7 @@ class Weighed(ShortRepr):
     best_known: Combination | None
     log_likelihood: float
     places: tuple[Place, ...] = field(repr=False)
+    tilt: Kriging | None = field(repr=False)
 
 
 @dataclass(frozen=True, repr=False)

@@ -3,20 +3,27 @@
 Gauss-Newton steps end it in a few evaluations where phi is as the linear model has it. Where ratios trade against each
 other it is a curved valley, across which such a step leaves the floor: then the emulator (``emulator``) through all
 places that were solved, the refused one among them, tells where the floor is.
+
+The estimate is where psi is least (``weighed``), phi and half a log determinant. The second changes slowly: it is
+solved for a little beside phi's least, and carried from there (``likeliest``).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear, minimize
 
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.emulator import Emulator, Place
 from spinestiff.estimation.evaluation import compliance_step, log_step
+from spinestiff.estimation.kriging import Kriging
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.status import FitStatus
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights, phi, reduced
+from spinestiff.estimation.weighed import Reduced, WeighedFit, WeighedProblem, Weights, phi, reduced
 
 # The search ends once an undamped step is shorter than so many standard deviations.
 CLOSE_SD = 1e-3
@@ -43,11 +50,76 @@ SHORTEST_STEP = 1.0 / 64.0
 # Places that a search has refused lead to the next one so many times; then steps are shortened.
 MOST_GUIDED = 4
 SAME = 1e-4  # of log ratios
+# How far beside a place, in log ratio, the nuisances' precision is solved for to know how it changes: far enough that
+# jumps between equilibria matter little.
+BESIDE = 0.25
+# It is solved for again where the search has gone farther from there than so many standard deviations or in log ratio,
+# so many times in all.
+CHANGED_SD, CHANGED_LOG, MOST_TILTS = 0.5, 0.3, 3
 # How far, in log ratio, the emulator is believed beyond the places it was made from.
 BEYOND = 0.2
 # Weight of a step's own length: along a direction that the data say nothing of, a step is short and not as long as
 # rounding makes it; its cost is below the smallest decrease.
 SHORT = 1e-4
+
+
+def likeliest(
+    problem: WeighedProblem,
+    start: WeighedPoint,
+    limits: tuple[float, float],
+    max_evaluations: int,
+    close_sd: float = CLOSE_SD,
+    tilt: Kriging | None = None,
+) -> WeighedFit:
+    """The likeliest ratios, nuisances integrated out, and the most probable nuisances there; see ``search``.
+
+    Parameters
+    ----------
+    tilt : half the log determinant of the nuisances' precision, if it is known, as from a coarser mesh.
+    """
+    found = search(problem, start, limits, max_evaluations, close_sd, tilt)
+    if tilt is not None:
+        return found
+    known: list[tuple[Floats, float, Floats]] = []
+    for _ in range(MOST_TILTS):
+        if not found.status.usable:
+            break
+        before, model = found, reduced(found.point, found.slope, found.weights)
+        slope, beside = _precision_slope(problem, found, model, limits)
+        known.append((found.point.log_ratios, model.log_precision, slope))
+        places, values, slopes = (np.array(part) for part in zip(*known))
+        tilt = Kriging(places, values[:, None], slopes[:, None, :])
+        found = search(problem, found.point, limits, max_evaluations, close_sd, tilt, (found.slope, found.weights))
+        found = replace(found, visited=(*before.visited, *_pairs(beside), *found.visited))
+        moved = found.point.log_ratios - before.point.log_ratios
+        if np.linalg.norm(model.ratios @ moved) < CHANGED_SD and np.abs(moved).max() < CHANGED_LOG:
+            break
+    return found
+
+
+def _precision_slope(
+    problem: WeighedProblem, fit: WeighedFit, model: Reduced, limits: tuple[float, float]
+) -> tuple[Floats, list[Place]]:
+    """(P,) of half the log determinant of the nuisances' precision in log ratio, by differences, and the places beside
+    the fit's that were solved for it. Where there is no equilibrium on either side, it is taken as 0."""
+    point, slope, beside = fit.point, np.zeros(len(fit.point.log_ratios)), list[Place]()
+    for i, axis in enumerate(np.eye(len(slope))):
+        for sign in (1.0, -1.0) if point.log_ratios[i] + BESIDE <= limits[1] else (-1.0,):
+            target = point.log_ratios + sign * BESIDE * axis
+            if target[i] < limits[0]:
+                continue
+            nuisances = model.nuisances + model.follow @ compliance_step(target - point.log_ratios)
+            try:
+                place = problem.solve(target, nuisances, point, fit.slope, most_factorisations=MOST_FACTORISATIONS)
+            except EquilibriumError:
+                problem.trial_set.note(target, float("nan"), None, False)
+                continue
+            problem.trial_set.note(target, phi(place, fit.weights), place.evaluation, False)
+            beside.append(Place(place, problem.slope(place).light))
+            changed = reduced(place, beside[-1].slope, fit.weights).log_precision - model.log_precision
+            slope[i] = changed / (sign * BESIDE)
+            break
+    return slope, beside
 
 
 def search(
@@ -56,29 +128,33 @@ def search(
     limits: tuple[float, float],
     max_evaluations: int,
     close_sd: float = CLOSE_SD,
+    tilt: Kriging | None = None,
+    known: tuple[WeighedSlope, Weights] | None = None,
 ) -> WeighedFit:
-    """The most probable ratios and nuisances, from ``start``.
+    """Ratios and nuisances of the least phi, and ``tilt`` if there is one, from ``start``.
 
     Parameters
     ----------
     limits : of the log ratios.
     max_evaluations : equilibria of all trials, the start's among them.
     close_sd : the length of an undamped step, in standard deviations, below which the search ends.
+    tilt : of the log ratios, added to phi. known : first order around the start, and the weights there.
     """
-    point, slope, weights = start, problem.slope(start), None
+    slope, weights = (problem.slope(start), None) if known is None else known
+    point = start
     visited: list[Place] = []
     evaluations, near, rough = 1, 0, 0
     last: tuple[Floats, float] | None = None
     promised = np.inf
     while True:
         weights = problem.weights(point, slope, weights)
-        step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
+        step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits, _steepness(tilt, point))
         near = near + 1 if 0.5 * promised < predicted < NEARLY else 0
         promised, short = predicted, float(np.sqrt(2.0 * predicted))
         settled = near > ENOUGH or (rough > MOST_REFUSED and predicted < CREASED)
         if predicted < 0.5 * close_sd**2 or settled:
-            return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited), short)
-        before, refused, share = phi(point, weights), list[Place](), 1.0
+            return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited), short, tilt)
+        before, refused, share = phi(point, weights) + _added(tilt, point.log_ratios), list[Place](), 1.0
         nearly = predicted < SETTLED
         guiding, shortest = not nearly, 0.25 if nearly else SHORTEST_STEP
         moved: WeighedPoint | None = None
@@ -88,15 +164,15 @@ def search(
             shortest = min(shortest, share)
         while moved is None and share >= shortest:
             if evaluations >= max_evaluations:
-                return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited), short)
+                return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited), short, tilt)
             # More than the whole step in the log: a compliance can't fall below 0.
             ahead = log_step(share * step) if share <= 1.0 else share * log_step(step)
             target = np.clip(point.log_ratios + ahead, *limits)
             wanted = point.nuisances + share * (nuisances - point.nuisances)
             if guiding and refused:
-                known = [Place(point, slope), *refused]
-                guided = _guided([known[0], *visited, *refused], weights, limits)
-                if any(np.allclose(guided[0], place.point.log_ratios, rtol=0.0, atol=SAME) for place in known):
+                tried = [Place(point, slope), *refused]
+                guided = _guided([tried[0], *visited, *refused], weights, limits, tilt)
+                if any(np.allclose(guided[0], place.point.log_ratios, rtol=0.0, atol=SAME) for place in tried):
                     # It has nothing new to tell, as where ratios are at their bounds.
                     guiding, share = False, 0.25 * share
                     continue
@@ -104,7 +180,7 @@ def search(
             evaluations += 1
             try:
                 trial = problem.solve(target, wanted, point, slope, most_factorisations=MOST_FACTORISATIONS)
-                after = phi(trial, weights)
+                after = phi(trial, weights) + _added(tilt, target)
             except EquilibriumError:
                 problem.trial_set.note(target, float("nan"), None, False)
                 share = 1.0 if share > 1.0 else 0.25 * share
@@ -129,8 +205,17 @@ def search(
         visited = [*visited, Place(point, slope.light), *refused]
         if moved is None:
             status = FitStatus.CONVERGED if predicted < NEAR_ENOUGH else FitStatus.STALLED
-            return WeighedFit(point, slope, weights, status, _pairs(visited), short)
+            return WeighedFit(point, slope, weights, status, _pairs(visited), short, tilt)
         point, slope, last = moved, problem.slope(moved), (wished, share)
+
+
+def _added(tilt: Kriging | None, log_ratios: Floats) -> float:
+    return 0.0 if tilt is None else float(tilt.at(log_ratios[None])[0, 0])
+
+
+def _steepness(tilt: Kriging | None, point: WeighedPoint) -> Floats:
+    """(P,) of the tilt."""
+    return np.zeros(len(point.log_ratios)) if tilt is None else tilt.slopes(point.log_ratios[None])[0, 0]
 
 
 def _relaxed(wished: Floats, before: Floats, taken: float, slope: WeighedSlope, weights: Weights) -> float:
@@ -155,8 +240,10 @@ def _pairs(places: list[Place]) -> tuple[tuple[WeighedPoint, WeighedSlope], ...]
     return tuple((place.point, place.slope) for place in places)
 
 
-def _guided(places: list[Place], weights: Weights, limits: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Where the emulator through all places, the best one first, has its least phi, and the nuisances there."""
+def _guided(
+    places: list[Place], weights: Weights, limits: tuple[float, float], tilt: Kriging | None
+) -> tuple[Floats, Floats]:
+    """Where the emulator through all places, the best one first, has the least phi with ``tilt``, and its nuisances."""
     emulator = Emulator(places, weights, telling=False)
     known = emulator.log_ratios
     low = np.maximum(known.min(axis=0) - BEYOND, limits[0])
@@ -164,21 +251,25 @@ def _guided(places: list[Place], weights: Weights, limits: tuple[float, float]) 
     count = known.shape[1]
     offsets = 1e-3 * np.vstack([np.zeros(count), np.eye(count), -np.eye(count)])
 
+    def wanted(where: Floats) -> Floats:
+        return emulator.phi(where) if tilt is None else emulator.phi(where) + tilt.at(where)[:, 0]
+
     def height(where: Floats) -> tuple[float, Floats]:
-        values = emulator.phi(where + offsets)
+        values = wanted(where + offsets)
         return float(values[0]), (values[1 : 1 + count] - values[1 + count :]) / 2e-3
 
     # From the best of the places between the best one and the others, too: the floor may lie behind a rise.
     between = np.concatenate([known[:1] + part * (known - known[:1]) for part in (0.0, 0.25, 0.5, 0.75)])
-    start = between[int(np.argmin(emulator.phi(between)))]
+    start = between[int(np.argmin(wanted(between)))]
     found = minimize(height, start, jac=True, method="L-BFGS-B", bounds=list(zip(low, high))).x
     return found, emulator.nuisances(found)[0]
 
 
 def gauss_newton_step(
-    point: WeighedPoint, slope: WeighedSlope, weights: Weights, limits: tuple[float, float]
+    point: WeighedPoint, slope: WeighedSlope, weights: Weights, limits: tuple[float, float], steepness: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Compliance step (P,) inside the bounds, the nuisances (M,) there, and the decrease of phi it promises."""
+    """Compliance step (P,) inside the bounds, the nuisances (M,) there, and the decrease it promises of phi and of what
+    rises by ``steepness`` (P,) a log ratio."""
     model = reduced(point, slope, weights)
     low = np.maximum(limits[0] - point.log_ratios, -np.log(LARGEST_SOFTENING))
     high = np.minimum(limits[1] - point.log_ratios, np.log(LARGEST_STIFFENING))
@@ -186,7 +277,9 @@ def gauss_newton_step(
     kept_short = np.hstack([SHORT * np.eye(len(low)), np.zeros((len(low), 1))])
     rows = np.vstack([np.column_stack([model.ratios, model.values]), kept_short])
     triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-    p = lsq_linear(triangle[:, :-1], -triangle[:, -1], (floor, ceiling), method="bvls").x
+    # |T p + t|^2 / 2 + g p is that of t + T^-T g, give or take a constant.
+    tilted = solve_triangular(triangle[:-1, :-1], steepness, trans="T")
+    p = lsq_linear(triangle[:-1, :-1], -triangle[:-1, -1] - tilted, (floor, ceiling), method="bvls").x
     left = model.values + model.ratios @ p
-    predicted = phi(point, weights) - 0.5 * float(left @ left)
+    predicted = phi(point, weights) - 0.5 * float(left @ left) - float(steepness @ p)
     return p, model.nuisances + model.follow @ p, max(predicted, 0.0)

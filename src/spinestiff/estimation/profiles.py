@@ -1,6 +1,6 @@
-"""Intervals, joint region and draws of the ratios, from the profile of the penalised likelihood (``weighed``).
+"""Intervals, joint region and draws of the ratios, from the profile of the likelihood (``weighed``).
 
-An end of ratio i's 95 % interval is where the least phi with that ratio given has risen by 3.84/2, times the square of
+An end of ratio i's 95 % interval is where the least psi with that ratio given has risen by 3.84/2, times the square of
 one width factor that simulated subjects have told; the joint region of two is where it has risen by 5.99/2. Ends are
 looked for on the emulator, solved on the model, and looked for again until both agree.
 """
@@ -23,11 +23,11 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights, p
 
 CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.05
-# Ends agree once the emulator's phi and the model's differ by less than this there.
+# Ends agree once the emulator's psi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
 MOST_ROUNDS = 8
 # A place as near as this to a solved one, in the estimate's standard deviations, is not solved, since the emulator
-# knows phi and its slope next to it, unless that is farther in log ratio than ``NEAR_LOG``; one farther than
+# knows psi and its slope next to it, unless that is farther in log ratio than ``NEAR_LOG``; one farther than
 # ``FARTHEST_STEP`` from all of them is approached first. None is solved twice, give or take ``SAME``.
 NEAR, NEAR_LOG, FARTHEST_STEP, SAME = 0.1, 0.15, 1.2, 1e-3
 # So many standard deviations around a place without equilibrium nothing is tried again; around one whose most probable
@@ -52,11 +52,11 @@ GRID = 61
 
 @dataclass(frozen=True, repr=False)
 class Profile(ShortRepr):
-    """The least phi over one log ratio.
+    """The least psi over one log ratio.
 
     Attributes
     ----------
-    log_ratios : (n,) rising. others : (n, P) all log ratios there. rise : (n,) of phi over the estimate's.
+    log_ratios : (n,) rising. others : (n, P) all log ratios there. rise : (n,) of psi over the estimate's.
     """
 
     log_ratios: Floats
@@ -75,7 +75,7 @@ class Likely(ShortRepr):
     profiles : (P,).
     region : (n, 2) outline of the joint 95 % region of two ratios, not cut at the bounds; None for another number.
     draws : (D, P) log ratios and (D, M) nuisances, equally probable. effective : independent draws they are worth.
-    emulator : of phi.
+    emulator : of psi.
     settled : emulator and model agreed at the ends in the end, and the model has an equilibrium at each.
     likelier : the likeliest place that was solved, if it is likelier than the estimate by more than ``CLOSE_ENOUGH``.
     """
@@ -164,20 +164,20 @@ def likely_ratios(
 
 def _likelier(places: Sequence[Place], weights: Weights) -> WeighedPoint | None:
     """Of places, the estimate first, the likeliest as solved, if it is likelier than the estimate."""
-    heights = [phi(place.point, weights) for place in places]
+    heights = [phi(place.point, weights) + reduced(place.point, place.slope, weights).log_precision for place in places]
     least = int(np.argmin(heights))
     return places[least].point if heights[least] < heights[0] - CLOSE_ENOUGH else None
 
 
 def region_rise(count: int) -> float:
-    """By how much 2 phi rises at the outline of the joint 95 % region of ``count`` ratios."""
+    """By how much 2 psi rises at the outline of the joint 95 % region of ``count`` ratios."""
     from scipy.stats import chi2
 
     return float(WIDTH_FACTOR**2 * chi2.ppf(CONFIDENCE, count))
 
 
 def rise_at(problem: WeighedProblem, fit: WeighedFit, log_ratios: Floats) -> float:
-    """By how much 2 phi is higher at other log ratios, nuisances at their most probable there; solves the model.
+    """By how much 2 psi is higher at other log ratios than at the estimate; solves the model.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def rise_at(problem: WeighedProblem, fit: WeighedFit, log_ratios: Floats) -> flo
         slope = problem.slope(point)
         model = reduced(point, slope, fit.weights)
         nuisances = model.nuisances
-    return float(model.values @ model.values) - 2.0 * phi(fit.point, fit.weights)
+    return 2.0 * (model.psi - reduced(fit.point, fit.slope, fit.weights).psi)
 
 
 def _solve_ends(
@@ -236,7 +236,7 @@ def _solve_ends(
             continue
         places.append(place)
         if found:
-            wrong |= abs(height - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
+            wrong |= abs(height - float(emulator.psi(where)[0])) > CLOSE_ENOUGH
         else:  # the emulator has no use for it
             unsolved.append(k)
             failed.append(where)
@@ -258,7 +258,7 @@ def solved_place(
     nuisances: Floats,
     near: WeighedPoint | None = None,
 ) -> tuple[Place, float, bool]:
-    """The model solved at log ratios (P,), phi at the most probable nuisances there, and whether those were found.
+    """The model solved at log ratios (P,), psi at the most probable nuisances there, and whether those were found.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def solved_place(
     ------
     EquilibriumError : it has no equilibrium there.
     """
-    matters = phi(fit.point, fit.weights) + HIGH
+    matters = reduced(fit.point, fit.slope, fit.weights).psi + HIGH
     point, tangents = (fit.point, fit.slope) if near is None else (near, None)
     share, before = 1.0, float("inf")
     for _ in range(1 + MOST_AGAIN):
@@ -276,7 +276,7 @@ def solved_place(
         slope = tangents = problem.slope(point)
         problem.trial_set.note(log_ratios, phi(point, fit.weights), point.evaluation, False)
         model = reduced(point, slope, fit.weights)
-        height = 0.5 * float(model.values @ model.values)
+        height = model.psi
         far = np.abs(model.nuisances - point.nuisances).max(initial=0.0)
         found = far <= (FAR_AND_HIGH if height > matters else FARTHEST_NUISANCES)
         if found:
@@ -299,12 +299,12 @@ class _Tracer:
         self, emulator: Emulator, best: Floats, covariance: Floats, limits: tuple[float, float], scouts: Floats
     ) -> None:
         self._emulator, self._best, self._covariance, self._limits = emulator, best, covariance, limits
-        self._least = float(emulator.phi(best)[0])
+        self._least = float(emulator.psi(best)[0])
         self._sd = np.sqrt(np.diag(covariance))
-        self._scouts, self.heights = scouts, emulator.phi(scouts) - self._least
+        self._scouts, self.heights = scouts, emulator.psi(scouts) - self._least
 
     def profile(self, i: int, rise: float) -> Profile:
-        """Outward until phi has risen by twice ``rise``, with no scout inside any farther, or to the bounds."""
+        """Outward until psi has risen by twice ``rise``, with no scout inside any farther, or to the bounds."""
         found = [(self._best, 0.0)]
         inside = self._scouts[self.heights <= rise]
         for sign in (-1.0, 1.0):
@@ -347,12 +347,12 @@ class _Tracer:
         return start, True
 
     def _lowest(self, i: int, value: float, near: Floats) -> tuple[Floats, float]:
-        """Place and height of the least phi with log ratio i given, from ``near`` or in a valley that scouts show."""
+        """Place and height of the least psi with log ratio i given, from ``near`` or in a valley that scouts show."""
         others = [j for j in range(len(near)) if j != i]
         start = near.copy()
         start[i] = value
         if not others:
-            return start, float(self._emulator.phi(start)[0]) - self._least
+            return start, float(self._emulator.psi(start)[0]) - self._least
         follow = self._covariance[others, i] / self._covariance[i, i]
         start[others] = np.clip(start[others] + follow * (value - near[i]), *self._limits)
         scale = np.sqrt(np.maximum(self._sd[others] ** 2 - follow * self._covariance[others, i], 1e-8))
@@ -369,7 +369,7 @@ class _Tracer:
         return found, height
 
     def _downhill(self, start: Floats, others: list[int], scale: Floats) -> tuple[Floats, float]:
-        """Place and height of the next least phi over some of the log ratios."""
+        """Place and height of the next least psi over some of the log ratios."""
 
         def height(x: Floats) -> tuple[float, Floats]:
             where = np.tile(start, (1 + 2 * len(others), 1))
@@ -377,7 +377,7 @@ class _Tracer:
             for k, j in enumerate(others):
                 where[1 + 2 * k, j] += 1e-3 * scale[k]
                 where[2 + 2 * k, j] -= 1e-3 * scale[k]
-            values = self._emulator.phi(where)
+            values = self._emulator.psi(where)
             return float(values[0]), (values[1::2] - values[2::2]) / 2e-3
 
         bounds = [((self._limits[0] - start[j]) / s, (self._limits[1] - start[j]) / s) for j, s in zip(others, scale)]
@@ -404,7 +404,7 @@ def profile_kind(
     Parameters
     ----------
     best : the estimate, log. open_low, open_high : the interval's end is the fit's bound.
-    limits : the fit's bounds, log. rise : of phi at an interval's end.
+    limits : the fit's bounds, log. rise : of psi at an interval's end.
     """
     kind = "flat" if profile.rise.max() < FLAT else interval_kind(best, open_low, open_high, limits)
     if kind != "bounded":
@@ -425,7 +425,7 @@ def _region(emulator: Emulator, best: Floats, low: Floats, high: Floats) -> Floa
     reach = 0.45 * (high - low)
     axes = [np.linspace(low[i] - reach[i], high[i] + reach[i], GRID) for i in (0, 1)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
-    height = emulator.phi(grid.reshape(-1, 2)).reshape(GRID, GRID) - float(emulator.phi(best)[0])
+    height = emulator.psi(grid.reshape(-1, 2)).reshape(GRID, GRID) - float(emulator.psi(best)[0])
     outlines: list[Floats] = find_contours(height, rise)  # type: ignore[no-untyped-call]
     if not outlines:
         return None
@@ -445,9 +445,9 @@ def _candidates(best: Floats, covariance: Floats, limits: tuple[float, float]) -
 
 
 def _draws(emulator: Emulator, candidates: Floats, density: Floats) -> tuple[tuple[Floats, Floats], float]:
-    """Equally probable draws: candidates weighed by exp(-phi) over their own density, and drawn again."""
+    """Equally probable draws: candidates weighed by exp(-psi) over their own density, and drawn again."""
     random = np.random.default_rng(1)
-    log_weight = -emulator.phi(candidates) / WIDTH_FACTOR**2 - density
+    log_weight = -emulator.psi(candidates) / WIDTH_FACTOR**2 - density
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     # Systematic resampling: one uniform number, evenly spaced places on the cumulative weight along the direction in

@@ -61,6 +61,7 @@ def told(
         best_known(found.point.log_ratios, _data_precision(asked, found)),
         asked.log_likelihood(found.point, found.slope, found.weights),
         known,
+        found.tilt,
     )
 
 

@@ -9,6 +9,15 @@ for as the ratios are, at no further equilibrium: each step ends in one at the r
 is added to a picture (place, stance, annotation, rest geometry, model discrepancy) is eliminated in closed form, as
 covariance. Sigma depends on the ratios through the size of the model's motion; it is that of the last iterate, so that
 the fit solves the estimating equation J^T Sigma^-1 r = 0 and no ratio is chosen for the error that it would excuse.
+
+Nor is a ratio chosen for the nuisances' reach: a softer torso moves farther under each of them, so that they explain
+more of any residuals. The likelihood of the ratios is that with nuisances integrated out, to second order around the
+most probable ones (Laplace's approximation; Tierney and Kadane, J Am Stat Assoc 1986; 81:82),
+
+    psi(q) = min over n of phi(q, n) + log det H(q) / 2,   H = I + K^T Sigma^-1 K,   K = dr/dn,
+
+and the estimate its minimum (``mode.likeliest``).
+
 What is held of the ratios themselves, if anything (``ratio_priors``), is rows of r with variance 1, linear in q.
 """
 
@@ -23,6 +32,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.evaluation import Evaluation, TrialSet
+from spinestiff.estimation.kriging import Kriging
 from spinestiff.estimation.moving import Moving
 from spinestiff.estimation.noise import Noise, Seen, lower_root, restricted_factor
 from spinestiff.estimation.objective import Target, Trial, make_target, residuals
@@ -330,7 +340,7 @@ def _larger(part: SightResiduals, acts: Floats) -> float:
 
 
 def phi(point: WeighedPoint, weights: Weights) -> float:
-    """What is minimised; see the module's text."""
+    """Of ratios and nuisances; see the module's text."""
     whitened = weights.whiten(point.values)
     return 0.5 * float(whitened @ whitened + point.nuisances @ point.nuisances)
 
@@ -341,13 +351,21 @@ class Reduced(ShortRepr):
 
     Attributes
     ----------
-    values : (n + M,). ratios : (n + M, P). most_probable : nuisances (M,) and their change per step (M, P).
+    values : (n + M,). ratios : (n + M, P).
+    nuisances, follow : the most probable ones (M,) and their change per step (M, P).
+    log_precision : half the log determinant of their precision (M, M).
     """
 
     values: Floats
     ratios: Floats
     nuisances: Floats
     follow: Floats
+    log_precision: float
+
+    @property
+    def psi(self) -> float:
+        """Of the ratios, nuisances integrated out; see the module's text."""
+        return 0.5 * float(self.values @ self.values) + self.log_precision
 
 
 def reduced(point: WeighedPoint, slope: WeighedSlope, weights: Weights) -> Reduced:
@@ -361,7 +379,8 @@ def reduced(point: WeighedPoint, slope: WeighedSlope, weights: Weights) -> Reduc
     q, triangle = np.linalg.qr(stacked)
     solved = np.linalg.solve(triangle, q.T @ others)
     left = others - stacked @ solved
-    return Reduced(left[:, -1], left[:, :-1], -solved[:, -1], -solved[:, :-1])
+    log_precision = float(np.sum(np.log(np.abs(np.diag(triangle)))))
+    return Reduced(left[:, -1], left[:, :-1], -solved[:, -1], -solved[:, :-1], log_precision)
 
 
 @dataclass(frozen=True, repr=False)
@@ -371,6 +390,7 @@ class WeighedFit(ShortRepr):
     Attributes
     ----------
     visited : the places on the way there, in their order.
+    tilt : half the log determinant of the nuisances' precision, over the log ratios; None: phi was minimised, not psi.
     short : by how many standard deviations the last step, which was not taken, would have gone on.
     """
 
@@ -380,3 +400,4 @@ class WeighedFit(ShortRepr):
     status: FitStatus
     visited: tuple[tuple[WeighedPoint, WeighedSlope], ...]
     short: float = 0.0
+    tilt: Kriging | None = None
