@@ -94,8 +94,9 @@ class _Surface:
         self._columns = Kriging(log_ratios, across.reshape(len(kept), -1), None)
 
     def at(self, where: Floats) -> tuple[Floats, Floats]:
-        """(S, R) residuals at the most probable nuisances and (S, R, M) derivatives, at places (S, P)."""
-        return self._residuals.at(where), self._columns.at(where).reshape(len(where), *self._shape)
+        """(S, R) residuals with all nuisances 0, to first order, and (S, R, M) derivatives, at places (S, P)."""
+        columns = self._columns.at(where).reshape(len(where), *self._shape)
+        return self._residuals.at(where) - np.einsum("snm,sm->sn", columns, self.nuisances.at(where)), columns
 
 
 @dataclass(frozen=True)
@@ -184,6 +185,11 @@ class Emulator:
         phi, precision = self._parts(log_ratios)
         return phi + precision
 
+    def residuals(self, log_ratios: Floats) -> tuple[Floats, Floats]:
+        """Whitened, with all nuisances 0 (S, R), and their derivatives in the nuisances (S, R, M), at places (S, P);
+        of the coarser mesh, where the shape is from one."""
+        return self._surface.at(np.atleast_2d(log_ratios))
+
     def _parts(self, log_ratios: Floats) -> tuple[Floats, Floats]:
         """(S,) phi, and half the log determinant of the nuisances' precision, at places (S, P)."""
         where = np.atleast_2d(log_ratios)
@@ -204,8 +210,7 @@ class Emulator:
         phi, precision, most, inverses = [], [], [], []
         for begin in range(0, len(where), _CHUNK):
             part = where[begin : begin + _CHUNK]
-            residuals, columns = self._surface.at(part)
-            free = residuals - np.einsum("snm,sm->sn", columns, self._surface.nuisances.at(part))
+            free, columns = self._surface.at(part)
             columns = columns * self._sds
             normal = np.eye(self._m) + np.swapaxes(columns, 1, 2) @ columns
             right = np.einsum("snm,sn->sm", columns, free)

@@ -1,0 +1,131 @@
+"""Nuisances integrated out or at their most probable: around which of the two does a likelihood lie rightly?
+
+    python benchmarks/integrated.py --log FILE [--first SEED] [--people 12] [--draws 1000]
+    python benchmarks/integrated.py --summary FILE... [--write]
+    python benchmarks/integrated.py --json
+
+A person of ``coverage_subjects`` is pushed at three ribs and estimated on the coarse mesh. The estimate's emulator then
+is a model by itself: residuals over the log ratios, linear in the nuisances. At the estimate's ratios, taken as true,
+nuisances are drawn from their priors and errors from the covariance, and phi and psi (``estimation.weighed``) are found
+on a grid around, without an equilibrium. z of a ratio is the signed root of twice the rise of its profile at the truth:
+its mean is the bias in standard deviations, and 95 % of |z| should lie below 1.96. A person takes about 60 CPU s,
+1,000 draws 40 s more.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from counted_intervals import NAMES
+from coverage_subjects import START, make_subject, seen_by
+from kept_rows import ROOT, asked_for, begun, code, keep
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_triangular
+
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS
+from spinestiff.arrays import Floats
+from spinestiff.errors import SpinestiffError
+from spinestiff.estimation.emulator import Emulator
+from spinestiff.study.trials import fit_pushes
+
+RESULTS = ROOT / "benchmarks" / "results" / "integrated.json"
+FIRST = 41000
+KINDS = ("most probable", "integrated out")
+INSIDE = 1.96
+# The grid: to so many of the estimate's standard deviations either way, in so many places; a profile is read between
+# them by a spline.
+REACH, PLACES, BETWEEN = 4.5, 21, 301
+
+
+def drawn_z(emulator: Emulator, truth: Floats, sds: Floats, draws: int, random: np.random.Generator) -> Floats:
+    """(2, P, draws) z of each ratio, with the most probable nuisances and with nuisances integrated out.
+
+    Parameters
+    ----------
+    truth : (P,) log ratios. sds : (P,) of the grid around.
+    """
+    limits = np.log(RATIO_BOUNDS)
+    axes = [np.unique(np.clip(t + sd * np.linspace(-REACH, REACH, PLACES), *limits)) for t, sd in zip(truth, sds)]
+    free, columns = (part[0] for part in emulator.residuals(truth))
+    shown = free[:, None] + columns @ random.normal(size=(columns.shape[1], draws))
+    shown = shown + random.normal(size=shown.shape)
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(truth))
+    phi, precision = np.empty((len(grid), draws)), np.empty(len(grid))
+    for row, where in enumerate(grid):
+        free, columns = (part[0] for part in emulator.residuals(where))
+        left = free[:, None] - shown
+        root = np.linalg.cholesky(np.eye(columns.shape[1]) + columns.T @ columns)
+        taken = solve_triangular(root, columns.T @ left, lower=True)
+        phi[row] = 0.5 * (np.sum(left**2, axis=0) - np.sum(taken**2, axis=0))
+        precision[row] = np.log(np.diag(root)).sum()
+    shape = (*(len(axis) for axis in axes), draws)
+    heights = [phi.reshape(shape), (phi + precision[:, None]).reshape(shape)]
+    return np.array([[_signed_roots(axes, height, i, truth[i]) for i in range(len(truth))] for height in heights])
+
+
+def _signed_roots(axes: Sequence[Floats], height: Floats, i: int, truth: float) -> Floats:
+    """(draws,) of twice the rise at the truth of ratio i's profile, positive where its least lies above the truth."""
+    profile = height.min(axis=tuple(j for j in range(len(axes)) if j != i))
+    spline, between = CubicSpline(axes[i], profile), np.linspace(axes[i][0], axes[i][-1], BETWEEN)
+    read = spline(between)
+    rise = np.maximum(spline(truth) - read.min(axis=0), 0.0)
+    return np.asarray(np.sign(between[np.argmin(read, axis=0)] - truth) * np.sqrt(2.0 * rise))
+
+
+def run_one(seed: int, draws: int) -> dict[str, Any]:
+    """A person as a line of the log."""
+    began = time.process_time()
+    row: dict[str, Any] = {"seed": seed, "draws": draws, "code": code()}
+    try:
+        fit = fit_pushes(seen_by(make_subject(seed, "three pushes", None), "coarse"), NAMES, START, extent="intervals")
+    except SpinestiffError as error:
+        return {**row, "not made": str(error)}
+    likely = fit.likely
+    if likely is None:
+        return {**row, "not made": fit.status.value}
+    sds = (likely.high - likely.low) / (2.0 * INSIDE)
+    z = drawn_z(likely.emulator, np.log(fit.ratios.values), sds, draws, np.random.default_rng([41, seed]))
+    for kind, own in zip(KINDS, z):
+        row[kind] = {
+            "mean_z": own.mean(axis=1).tolist(),
+            "sd_of_z": own.std(axis=1).tolist(),
+            "inside95": (np.abs(own) < INSIDE).mean(axis=1).tolist(),
+        }
+    return {**row, "ratios": fit.ratios.as_dict(), "cpu_s": round(time.process_time() - began, 1)}
+
+
+def summed_up(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Means over people, with the standard errors of so many people. Ends the program where there is none."""
+    found = [row for row in rows if KINDS[0] in row]
+    if not found:
+        raise SystemExit("no row has figures; nothing was written")
+    result: dict[str, Any] = {"people": len(found), "draws": sum(row["draws"] for row in found)}
+    for kind in KINDS:
+        result[kind] = {}
+        for key in ("mean_z", "sd_of_z", "inside95"):
+            each = np.array([row[kind][key] for row in found])
+            error = each.std(axis=0, ddof=1) / np.sqrt(len(each)) if len(each) > 1 else np.full(each.shape[1], np.nan)
+            result[kind][key] = {
+                name: [round(float(mean), 4), round(float(own), 4)]
+                for name, mean, own in zip(NAMES, each.mean(axis=0), error)
+            }
+    return {**result, "code": sorted({row["code"] for row in found})}
+
+
+def main() -> None:
+    asked = asked_for(__doc__, RESULTS, summed_up, first=FIRST, people=12, draws=1000)
+    if asked is None:
+        return
+    done = {row["seed"] for row in begun(asked.log)}
+    for seed in range(asked.first, asked.first + asked.people):
+        if seed not in done:
+            row = run_one(seed, asked.draws)
+            keep(asked.log, row)
+            print(seed, row.get("not made") or {kind: row[kind]["mean_z"] for kind in KINDS}, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,50 @@
+"""benchmarks/integrated.py: around which likelihood drawn corners lie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from programs import benchmark
+
+benchmark("coverage_subjects")
+integrated = benchmark("integrated")
+
+
+class Scaled:
+    """Five residuals of an exponential of one log ratio, each with a relative error of its own as a nuisance."""
+
+    RELATIVE, PRECISE = 0.4, 40.0
+
+    def residuals(self, where):
+        size = self.PRECISE * np.exp(-np.atleast_2d(where)[:, 0])
+        return np.outer(size, np.ones(5)), size[:, None, None] * self.RELATIVE * np.eye(5)[None]
+
+
+def test_the_most_probable_nuisances_draw_towards_what_they_do_most_to():
+    """Nuisances that are nearly told by the residuals: integrated out they are what they are, relative errors."""
+    most, out = integrated.drawn_z(Scaled(), np.zeros(1), np.array([0.2]), 2000, np.random.default_rng(1))
+    assert most.mean() < -0.5
+    assert abs(out.mean()) < 0.5 * abs(most.mean())
+    assert (np.abs(out) < 1.96).mean() > (np.abs(most) < 1.96).mean()
+
+
+def row(seed, means):
+    return {
+        "seed": seed,
+        "draws": 10,
+        "code": "a",
+        **{
+            kind: {"mean_z": [m, 0.0], "sd_of_z": [1.0, 1.0], "inside95": [0.9, 0.95]}
+            for kind, m in zip(integrated.KINDS, means)
+        },
+    }
+
+
+def test_what_is_summed_up():
+    found = integrated.summed_up([row(1, (-0.3, 0.1)), row(2, (-0.1, 0.0)), {"seed": 3, "not made": "why"}])
+    assert (found["people"], found["draws"]) == (2, 20)
+    assert found["most probable"]["mean_z"]["lateral_bending"] == pytest.approx([-0.2, 0.1])
+    assert found["integrated out"]["inside95"]["lateral_bending"][0] == pytest.approx(0.9)
+    with pytest.raises(SystemExit, match="no row has figures"):
+        integrated.summed_up([{"seed": 3, "not made": "why"}])
