@@ -34,7 +34,7 @@ from estimator_work import LIMITS, MOST_EVALUATIONS, subject
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.estimation.emulator import Place
-from spinestiff.estimation.mode import search
+from spinestiff.estimation.mode import likeliest
 from spinestiff.estimation.profiles import likely_ratios
 from spinestiff.mechanics import cudss as gpu
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -208,7 +208,7 @@ def estimated(mesh: str, backend: str) -> dict[str, Any]:
     logging.getLogger("spinestiff.mechanics.factor").addHandler(left)
     problem = subject(0, mesh)
     walls, cpus = [time.perf_counter()], [time.process_time()]
-    found = search(problem, problem.solve(np.log(START), np.zeros(len(problem.unknowns))), LIMITS, MOST_EVALUATIONS)
+    found = likeliest(problem, problem.solve(np.log(START), np.zeros(len(problem.unknowns))), LIMITS, MOST_EVALUATIONS)
     walls, cpus = [*walls, time.perf_counter()], [*cpus, time.process_time()]
     likely, _ = likely_ratios(problem, found, [Place(*place) for place in found.visited], LIMITS)
     walls, cpus = [*walls, time.perf_counter()], [*cpus, time.process_time()]
