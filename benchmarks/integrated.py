@@ -7,7 +7,8 @@
 A person of ``coverage_subjects`` is pushed at three ribs and estimated on the coarse mesh. The estimate's emulator then
 is a model by itself: residuals over the log ratios, linear in the nuisances. At the estimate's ratios, taken as true,
 nuisances are drawn from their priors and errors from the covariance, and phi and psi (``estimation.weighed``) are found
-on a grid around, without an equilibrium. z of a ratio is the signed root of twice the rise of its profile at the truth:
+on a grid around, without an equilibrium. Beside the draws, the person's own corners, which have all the errors of
+``coverage.py``, are compared with the true ratios in the same way. z of a ratio is the signed root of twice the rise of its profile at the truth:
 its mean is the bias in standard deviations, and 95 % of |z| should lie below 1.96. A person takes about 60 CPU s,
 1,000 draws 40 s more.
 """
@@ -47,8 +48,7 @@ def drawn_z(emulator: Emulator, truth: Floats, sds: Floats, draws: int, random: 
     ----------
     truth : (P,) log ratios. sds : (P,) of the grid around.
     """
-    limits = np.log(RATIO_BOUNDS)
-    axes = [np.unique(np.clip(t + sd * np.linspace(-REACH, REACH, PLACES), *limits)) for t, sd in zip(truth, sds)]
+    axes = _axes(truth, truth, sds)
     free, columns = (part[0] for part in emulator.residuals(truth))
     shown = free[:, None] + columns @ random.normal(size=(columns.shape[1], draws))
     shown = shown + random.normal(size=shown.shape)
@@ -66,6 +66,21 @@ def drawn_z(emulator: Emulator, truth: Floats, sds: Floats, draws: int, random: 
     return np.array([[_signed_roots(axes, height, i, truth[i]) for i in range(len(truth))] for height in heights])
 
 
+def own_z(emulator: Emulator, best: Floats, truth: Floats, sds: Floats) -> Floats:
+    """(2, P) z of each ratio as the person's own radiographs have it, of the two kinds."""
+    axes = _axes(best, truth, sds)
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(truth))
+    heights = [read(grid).reshape(*(len(axis) for axis in axes), 1) for read in (emulator.phi, emulator.psi)]
+    return np.array([[_signed_roots(axes, height, i, truth[i])[0] for i in range(len(truth))] for height in heights])
+
+
+def _axes(centre: Floats, held: Floats, sds: Floats) -> list[Floats]:
+    """Of a grid in log ratios about a centre, as wide that it holds another place."""
+    reach = REACH * sds + np.abs(held - centre)
+    lines = centre[:, None] + reach[:, None] * np.linspace(-1.0, 1.0, PLACES)
+    return [np.unique(np.clip(line, *np.log(RATIO_BOUNDS))) for line in lines]
+
+
 def _signed_roots(axes: Sequence[Floats], height: Floats, i: int, truth: float) -> Floats:
     """(draws,) of twice the rise at the truth of ratio i's profile, positive where its least lies above the truth."""
     profile = height.min(axis=tuple(j for j in range(len(axes)) if j != i))
@@ -80,16 +95,19 @@ def run_one(seed: int, draws: int) -> dict[str, Any]:
     began = time.process_time()
     row: dict[str, Any] = {"seed": seed, "draws": draws, "code": code()}
     try:
-        fit = fit_pushes(seen_by(make_subject(seed, "three pushes", None), "coarse"), NAMES, START, extent="intervals")
+        subject = make_subject(seed, "three pushes", None)
+        fit = fit_pushes(seen_by(subject, "coarse"), NAMES, START, extent="intervals")
     except SpinestiffError as error:
         return {**row, "not made": str(error)}
     likely = fit.likely
     if likely is None:
         return {**row, "not made": fit.status.value}
     sds = (likely.high - likely.low) / (2.0 * INSIDE)
-    z = drawn_z(likely.emulator, np.log(fit.ratios.values), sds, draws, np.random.default_rng([41, seed]))
-    for kind, own in zip(KINDS, z):
+    best, truth = np.log(fit.ratios.values), np.log([subject.ratios[name] for name in NAMES])
+    z = drawn_z(likely.emulator, best, sds, draws, np.random.default_rng([41, seed]))
+    for kind, own, persons in zip(KINDS, z, own_z(likely.emulator, best, truth, sds)):
         row[kind] = {
+            "own_z": persons.tolist(),
             "mean_z": own.mean(axis=1).tolist(),
             "sd_of_z": own.std(axis=1).tolist(),
             "inside95": (np.abs(own) < INSIDE).mean(axis=1).tolist(),
@@ -105,13 +123,18 @@ def summed_up(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     result: dict[str, Any] = {"people": len(found), "draws": sum(row["draws"] for row in found)}
     for kind in KINDS:
         result[kind] = {}
-        for key in ("mean_z", "sd_of_z", "inside95"):
+        for key in ("mean_z", "sd_of_z", "inside95", "own_z"):
             each = np.array([row[kind][key] for row in found])
             error = each.std(axis=0, ddof=1) / np.sqrt(len(each)) if len(each) > 1 else np.full(each.shape[1], np.nan)
             result[kind][key] = {
                 name: [round(float(mean), 4), round(float(own), 4)]
                 for name, mean, own in zip(NAMES, each.mean(axis=0), error)
             }
+    moved = np.array([np.subtract(row[KINDS[1]]["own_z"], row[KINDS[0]]["own_z"]) for row in found])
+    result["own_z_moved"] = {
+        name: [round(float(own.mean()), 4), round(float(own.std(ddof=1) / np.sqrt(len(own))), 4)]
+        for name, own in zip(NAMES, moved.T)
+    }
     return {**result, "code": sorted({row["code"] for row in found})}
 
 

@@ -29,13 +29,27 @@ def test_the_most_probable_nuisances_draw_towards_what_they_do_most_to():
     assert (np.abs(out) < 1.96).mean() > (np.abs(most) < 1.96).mean()
 
 
+def test_a_persons_own_truth_is_as_far_off_as_the_two_say():
+    """Two parabolas of standard deviation 0.2, half a log apart."""
+
+    class Two:
+        def phi(self, where):
+            return 0.5 * np.sum((where / 0.2) ** 2, axis=1)
+
+        def psi(self, where):
+            return 0.5 * np.sum(((where - [0.5, 0.0]) / 0.2) ** 2, axis=1)
+
+    z = integrated.own_z(Two(), np.array([0.1, 0.0]), np.array([-0.2, 0.3]), np.array([0.2, 0.2]))
+    assert z == pytest.approx(np.array([[1.0, -1.5], [3.5, -1.5]]), abs=0.02)
+
+
 def row(seed, means):
     return {
         "seed": seed,
         "draws": 10,
         "code": "a",
         **{
-            kind: {"mean_z": [m, 0.0], "sd_of_z": [1.0, 1.0], "inside95": [0.9, 0.95]}
+            kind: {"mean_z": [m, 0.0], "sd_of_z": [1.0, 1.0], "inside95": [0.9, 0.95], "own_z": [seed + m, 1.0]}
             for kind, m in zip(integrated.KINDS, means)
         },
     }
@@ -45,6 +59,7 @@ def test_what_is_summed_up():
     found = integrated.summed_up([row(1, (-0.3, 0.1)), row(2, (-0.1, 0.0)), {"seed": 3, "not made": "why"}])
     assert (found["people"], found["draws"]) == (2, 20)
     assert found["most probable"]["mean_z"]["lateral_bending"] == pytest.approx([-0.2, 0.1])
+    assert found["own_z_moved"]["lateral_bending"] == pytest.approx([0.25, 0.15])
     assert found["integrated out"]["inside95"]["lateral_bending"][0] == pytest.approx(0.9)
     with pytest.raises(SystemExit, match="no row has figures"):
         integrated.summed_up([{"seed": 3, "not made": "why"}])
