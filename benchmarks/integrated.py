@@ -4,13 +4,14 @@
     python benchmarks/integrated.py --summary FILE... [--write]
     python benchmarks/integrated.py --json
 
-A person of ``coverage_subjects`` is pushed at three ribs and estimated on the coarse mesh. The estimate's emulator then
-is a model by itself: residuals over the log ratios, linear in the nuisances. At the estimate's ratios, taken as true,
-nuisances are drawn from their priors and errors from the covariance, and phi and psi (``estimation.weighed``) are found
-on a grid around, without an equilibrium. Beside the draws, the person's own corners, which have all the errors of
-``coverage.py``, are compared with the true ratios in the same way. z of a ratio is the signed root of twice the rise of its profile at the truth:
-its mean is the bias in standard deviations, and 95 % of |z| should lie below 1.96. A person takes about 60 CPU s,
-1,000 draws 40 s more.
+A person of ``coverage_subjects`` is pushed at three ribs and estimated on the coarse mesh, which is the truth's, too.
+The estimate's emulator then is a model by itself: residuals over the log ratios, linear in the nuisances. At the
+estimate's ratios, taken as true, nuisances are drawn from their priors and errors from the covariance, and phi and psi
+(``estimation.weighed``) are found on a grid around, without an equilibrium. Beside the draws, the person's own corners,
+which have all the errors of ``coverage.py``, are compared with the true ratios in the same way.
+
+z of a ratio is the signed root of twice the rise of its profile at the truth: its mean is the bias in standard
+deviations, and 95 % of |z| should lie below 1.96. A person takes about 60 CPU s, 1,000 draws 40 s more.
 """
 
 from __future__ import annotations

@@ -256,7 +256,8 @@ def profile_picture(visit: Visit, estimate: Estimate) -> Drawn:
     alt = "Profile of the likelihood along " + listed(within_a_sentence(curve.title) for curve in curves) + "."
     caption = (
         "How much less likely other values of a ratio are, with the other ratios at their likeliest there. The 95 % "
-        "interval holds what lies below the dashed line. A flat stretch is a range that the radiographs don’t tell apart."
+        "interval holds what lies below the dashed line. A flat stretch is a range that the radiographs don’t tell "
+        "apart."
     )
     return "profiles", draw_profiles(curves), alt, caption
 
