@@ -1,6 +1,7 @@
 """Make radiographs' corners from known stiffness ratios, and get the ratios back by a fit.
 
-The fit uses the mesh that made the data, and no noise: it shows how the pieces go together, not how well they work.
+The fit uses the mesh that made the data, and no noise: it shows how the pieces go together, not how well they work. It
+allows for errors that these corners do not have, and so ends beside the truth, well inside its interval.
 
 Run: python examples/02_recover_ratios.py
 """

