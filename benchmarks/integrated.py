@@ -116,6 +116,17 @@ def run_one(seed: int, draws: int) -> dict[str, Any]:
     return {**row, "ratios": fit.ratios.as_dict(), "cpu_s": round(time.process_time() - began, 1)}
 
 
+def _over_people(each: Sequence[Any]) -> dict[str, list[float | None]]:
+    """By ratio the mean and its standard error, which one person alone has not."""
+    values = np.array(each)
+    errors = values.std(axis=0, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else [None] * values.shape[1]
+    means = values.mean(axis=0)
+    return {
+        name: [round(float(mean), 4), None if error is None else round(float(error), 4)]
+        for name, mean, error in zip(NAMES, means, errors)
+    }
+
+
 def summed_up(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Means over people, with the standard errors of so many people. Ends the program where there is none."""
     found = [row for row in rows if KINDS[0] in row]
@@ -123,19 +134,10 @@ def summed_up(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         raise SystemExit("no row has figures; nothing was written")
     result: dict[str, Any] = {"people": len(found), "draws": sum(row["draws"] for row in found)}
     for kind in KINDS:
-        result[kind] = {}
-        for key in ("mean_z", "sd_of_z", "inside95", "own_z"):
-            each = np.array([row[kind][key] for row in found])
-            error = each.std(axis=0, ddof=1) / np.sqrt(len(each)) if len(each) > 1 else np.full(each.shape[1], np.nan)
-            result[kind][key] = {
-                name: [round(float(mean), 4), round(float(own), 4)]
-                for name, mean, own in zip(NAMES, each.mean(axis=0), error)
-            }
-    moved = np.array([np.subtract(row[KINDS[1]]["own_z"], row[KINDS[0]]["own_z"]) for row in found])
-    result["own_z_moved"] = {
-        name: [round(float(own.mean()), 4), round(float(own.std(ddof=1) / np.sqrt(len(own))), 4)]
-        for name, own in zip(NAMES, moved.T)
-    }
+        keys = ("mean_z", "sd_of_z", "inside95", "own_z")
+        result[kind] = {key: _over_people([row[kind][key] for row in found]) for key in keys}
+    moved = [np.subtract(row[KINDS[1]]["own_z"], row[KINDS[0]]["own_z"]) for row in found]
+    result["own_z_moved"] = _over_people(moved)
     return {**result, "code": sorted({row["code"] for row in found})}
 
 

@@ -61,5 +61,6 @@ def test_what_is_summed_up():
     assert found["most probable"]["mean_z"]["lateral_bending"] == pytest.approx([-0.2, 0.1])
     assert found["own_z_moved"]["lateral_bending"] == pytest.approx([0.25, 0.15])
     assert found["integrated out"]["inside95"]["lateral_bending"][0] == pytest.approx(0.9)
+    assert integrated.summed_up([row(1, (-0.3, 0.1))])["own_z_moved"]["tissue"] == [0.0, None]
     with pytest.raises(SystemExit, match="no row has figures"):
         integrated.summed_up([{"seed": 3, "not made": "why"}])
