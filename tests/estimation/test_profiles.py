@@ -15,6 +15,7 @@ from spinestiff.estimation.emulator import FARTHEST_NUISANCES, Place
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
+    CLOSE_ENOUGH,
     WIDTH_FACTOR,
     Profile,
     _likelier,
@@ -121,7 +122,7 @@ def test_an_end_is_solved_from_a_place_that_is_much_nearer_than_the_estimate(sec
         return real(log_ratios, nuisances)
 
     monkeypatch.setattr(bent, "solve", solve)
-    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1), [])
+    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1), [], CLOSE_ENOUGH)
     near, slope = starts[0]
     assert near is (there if starts_from == "second" else start)
     assert (slope is None) == (starts_from == "second")
@@ -142,7 +143,8 @@ def test_nothing_is_looked_for_beside_a_place_without_equilibrium(monkeypatch) -
 
     monkeypatch.setattr(bent, "solve", solve)
     for end in (0.7, 0.8, -0.7):
-        assert _solve_ends(bent, fit, emulator, places, [np.array([end])], np.eye(1), failed) == (False, [0])
+        ends = [np.array([end])]
+        assert _solve_ends(bent, fit, emulator, places, ends, np.eye(1), failed, CLOSE_ENOUGH) == (False, [0])
     assert tried == [0.7, -0.7]
     assert len(places) == 1
 
@@ -159,7 +161,8 @@ def test_nothing_is_looked_for_beside_a_place_whose_nuisances_were_not_found(mon
     solved = []
     for end in (0.7, 0.8, 0.75):
         before = len(bent.solved)
-        assert _solve_ends(bent, fit, emulator, places, [np.array([end])], np.eye(1), failed) == (False, [0])
+        ends = [np.array([end])]
+        assert _solve_ends(bent, fit, emulator, places, ends, np.eye(1), failed, CLOSE_ENOUGH) == (False, [0])
         solved.append(len(bent.solved) - before)
     assert solved == [1, 1, 0]  # a second try
     assert len(places) == 3
@@ -175,9 +178,9 @@ def test_no_place_is_solved_twice() -> None:
         log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.ones(1), np.eye(1)), psi=lambda where: np.zeros(1)
     )
     before = len(bent.solved)
-    _solve_ends(bent, fit, emulator, places, [np.array([0.3])], np.eye(1), [])
+    _solve_ends(bent, fit, emulator, places, [np.array([0.3])], np.eye(1), [], CLOSE_ENOUGH)
     assert len(bent.solved) == before
-    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1), [])
+    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1), [], CLOSE_ENOUGH)
     assert len(bent.solved) > before
 
 
@@ -238,8 +241,10 @@ def test_draws_are_those_of_the_posterior(found, likely) -> None:
             exact = grid[order, i][np.searchsorted(cumulative, level)]
             # 500 draws: 0.06 to 0.08 sd by chance; a grid step is 0.125.
             assert np.quantile(ratios[:, i], level) == pytest.approx(exact, abs=0.25 * WIDTH_FACTOR * sd[i])
-        inside = (ratios[:, i] > likely.low[i]) & (ratios[:, i] < likely.high[i])
-        assert inside.mean() == pytest.approx(0.95, abs=0.03)
+        inside, exactly = ((r[:, i] > likely.low[i]) & (r[:, i] < likely.high[i]) for r in (ratios, grid))
+        assert inside.mean() == pytest.approx(weight[exactly].sum(), abs=0.03)
+        # An interval is of the profile.
+        assert weight[exactly].sum() == pytest.approx(0.95, abs=0.03), weight[exactly].sum()
     centred = grid - weight @ grid
     covariance = centred.T @ (weight[:, None] * centred)
     correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])

@@ -196,8 +196,8 @@ def test_what_nothing_holds_is_not_measured_against_a_place(column, noisy) -> No
     assert level.size > column.weighed(noisy).size
 
 
-def test_a_short_step_is_tried_before_the_search_ends(column, asked, found, monkeypatch) -> None:
-    monkeypatch.setattr(mode, "_relaxed", lambda *args: mode.LEAST_SHARE)
+def test_short_steps_are_taken_until_little_is_left(column, asked, found, monkeypatch) -> None:
+    monkeypatch.setattr(mode, "_mixed", lambda trail, *args: 0.1 * trail[-1][1])
     start = asked.solve(found.point.log_ratios + 0.3, found.point.nuisances, found.point)
     again = search(asked, start, column.limits, 100)
     assert again.status is FitStatus.CONVERGED
@@ -462,22 +462,22 @@ def test_a_search_where_phi_is_rough_ends_and_tells_how_near_it_is(asked, found,
     assert (np.abs(logs(ended) - logs(found)) < 0.5 * ended.short * sd_of(found)).all()
 
 
-def test_a_search_where_slopes_are_rough_ends_soon(asked, found, column, monkeypatch) -> None:
+def test_a_search_where_slopes_are_rough_ends_once_enough_was_refused(asked, found, column, monkeypatch) -> None:
     """Each promises a little that there is not: many steps are refused, and short ones lead nowhere."""
 
     def slope(point, real=asked.slope):
         found = real(point)
-        return replace(found, ratios=found.ratios + 0.01 * np.outer(point.values, np.sin(1e5 * point.log_ratios)))
+        return replace(found, ratios=found.ratios + 0.01 * np.outer(point.values, np.sin(2e4 * point.log_ratios)))
 
-    start = asked.solve(logs(found) + 2.0 * sd_of(found), found.point.nuisances, found.point)
+    start = asked.solve(logs(found) + sd_of(found), found.point.nuisances, found.point)
     monkeypatch.setattr(asked, "slope", slope)
-    ended = mode.search(asked, start, column.limits, 80)
-    assert ended.status is FitStatus.CONVERGED and ended.short < 0.25
-    assert (np.abs(logs(ended) - logs(found)) < 0.05 * sd_of(found)).all()
-    refused = mode.MOST_REFUSED
-    monkeypatch.setattr(mode, "MOST_REFUSED", 1000)
     longer = mode.search(asked, start, column.limits, 80)
-    assert len(longer.visited) > len(ended.visited) > refused
+    monkeypatch.setattr(mode, "MOST_REFUSED", 1)
+    ended = mode.search(asked, start, column.limits, 80)
+    for one in (longer, ended):
+        assert one.status is FitStatus.CONVERGED and one.short < 0.25
+        assert (np.abs(logs(one) - logs(found)) < 0.05 * sd_of(found)).all()
+    assert len(longer.visited) > len(ended.visited) > 1
 
 
 def test_a_search_beside_a_jump_stalls_where_much_is_left_to_gain(jumping) -> None:
@@ -512,18 +512,26 @@ def test_a_ratio_outside_the_limits_ends_at_them(column, clean) -> None:
     assert logs(ended).min() == pytest.approx(np.log(0.5), abs=1e-9)
 
 
-def test_small_steps_are_as_long_as_those_before_say(found) -> None:
-    """Along one direction, in which a step falls short by a factor or swings, one such step ends there.
+def test_small_steps_are_mixed_with_those_before(found) -> None:
+    """Steps that fall short or swing, by a factor of their own along each direction, end where they would vanish.
 
-    A step that grows leads away from where it would vanish, and goes far.
+    A step that grows leads away from there, and goes far; so does one that creeps.
     """
-    before = np.random.default_rng(0).normal(size=found.slope.ratios.shape[1] + found.slope.nuisances.shape[1])
-    least, most = mode.LEAST_SHARE, mode.MOST_SHARE
-    for fit_for, wanted in ((-0.1, most), (0.01, most), (0.25, 4.0), (1.0, 1.0), (2.0, 0.5), (40.0, least)):
-        for taken in (1.0, 0.5, 2.0):
-            left = (1.0 - taken * fit_for) * before
-            share = mode._relaxed(left, before, taken, found.slope, found.weights)
-            assert share == pytest.approx(wanted), (fit_for, taken)
+    count = found.slope.ratios.shape[1] + found.slope.nuisances.shape[1]
+    random = np.random.default_rng(0)
+
+    for factor, wanted in ((-0.1, mode.MOST_SHARE), (0.01, mode.MOST_SHARE), (0.25, 4.0), (1.5, 1.0 / 1.5)):
+        before = random.normal(size=count)
+        trail = [(np.zeros(count), before), (before, (1.0 - factor) * before)]
+        assert np.allclose(mode._mixed(trail, found.slope, found.weights), wanted * trail[1][1]), factor
+    for factors in ([0.5, 1.5], [0.3, 0.8, 1.6]):
+        directions = random.normal(size=(count, len(factors)))
+        left, trail, place = np.ones(len(factors)), [], np.zeros(count)
+        for _ in range(1 + len(factors)):
+            trail.append((place, directions @ (factors * left)))
+            place, left = place + trail[-1][1], (1.0 - np.array(factors)) * left
+        end = directions @ np.ones(len(factors))
+        assert np.allclose(trail[-1][0] + mode._mixed(trail, found.slope, found.weights), end, atol=1e-6), factors
 
 
 def test_the_likelihood_is_that_of_the_residuals_with_unknowns_integrated_out(asked, found) -> None:

@@ -28,7 +28,7 @@ from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at
+from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at, telling_places
 from spinestiff.estimation.ratio_priors import ratio_prior
 from spinestiff.estimation.search import lbfgsb
 from spinestiff.estimation.status import FitStatus
@@ -53,7 +53,7 @@ ROUNDING = 1e-12
 NEARER_STARTS = (1.0, 0.75, 0.5, 0.25)
 # Shares of the nuisances that a start has, on the way to them.
 NUISANCES_BY = (0.5, 1.0)
-Extent = Literal["estimate", "intervals", "everything"]
+Extent = Literal["estimate", "shape", "intervals", "everything"]
 
 
 def fit_stiffness(
@@ -94,11 +94,11 @@ def fit_stiffness(
     geometry : (6V, 6V) covariance of the vertebrae's rest poses (dt mm, dw rad); None: known.
     taped : the trunk's size was measured.
     start_nuisances : name -> nuisance to start from, in prior standard deviations; default 0.
-    extent : "estimate" alone, with "intervals", or "everything": variance budget and, of ratios with profiles, other
-        priors as well.
+    extent : "estimate" alone; with the "shape" of the likelihood, for a fit on a finer mesh; with "intervals"; or
+        "everything": variance budget and, of ratios with profiles, other priors as well.
     population : whose ratios are held as a prior (``ratio_priors.POPULATIONS``), by the weighed method only; None: the
         ratios are flat in log, up to the smoothness of neighbouring levels'.
-    rough : a fit of the same trials and ratios on a coarser mesh, with intervals: where its likelihood has which shape.
+    rough : a fit of the same trials and ratios on a coarser mesh, with the shape of its likelihood.
     close_sd : the weighed search ends once a step is shorter than so many standard deviations.
 
     Raises
@@ -327,12 +327,14 @@ def _rough_places(asked: WeighedProblem, rough: StiffnessFit | None) -> tuple[Pl
 def _likely(
     asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float], extent: Extent, rough: tuple[Place, ...]
 ) -> tuple[Likely | None, tuple[Place, ...]]:
-    """Intervals and draws, where they are asked for, and the places that they come from."""
+    """Intervals and draws, where they are asked for, and the places that they, or the shape, come from."""
     if extent == "estimate" or not found.status.usable:
         return None, ()
     places = [Place(*place) for place in found.visited]
     if len(found.point.log_ratios) > MOST_PROFILED:
-        return linear_ratios(found, places, limits), ()
+        return (None if extent == "shape" else linear_ratios(found, places, limits)), ()
+    if extent == "shape":
+        return None, telling_places(asked, found, places, limits)
     return likely_ratios(asked, found, places, limits, rough)
 
 

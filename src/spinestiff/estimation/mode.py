@@ -10,6 +10,7 @@ solved for a little beside phi's least, and carried from there (``likeliest``).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,10 +28,13 @@ from spinestiff.estimation.weighed import Reduced, WeighedFit, WeighedProblem, W
 
 # The search ends once an undamped step is shorter than so many standard deviations.
 CLOSE_SD = 1e-3
-# Of steps that promise less than this, as much is taken as the one before says: less where they swing, more where they
-# creep one way, between these shares. Where so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd)
-# and no less than half of the one before, equilibria that jump by more than that are as near as the search can come.
-SMALL, LEAST_SHARE, MOST_SHARE = 1.0, 0.1, 8.0
+# So near is near enough where another search goes on from there: phi's least, from which psi's lies a few tenths of a
+# standard deviation off, or the estimate on a coarser mesh.
+ROUGHLY_SD = 0.1
+# Steps that promise less than this (three sds) are mixed with so many before, to at most so many times the step.
+SMALL, MIXED, MOST_SHARE = 4.5, 3, 8.0
+# Where so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd) and no less than half of the one
+# before, equilibria that jump by more than that are as near as the search can come.
 NEARLY, ENOUGH = 1e-3, 6
 # Soft tissue that is pressed together creases, and where a crease appears phi jumps. Where a step that promises less
 # than this (a tenth of an sd) is refused, it is shortened once; if that is refused, too, the search is as near as it
@@ -77,9 +81,9 @@ def likeliest(
     ----------
     tilt : half the log determinant of the nuisances' precision, if it is known, as from a coarser mesh.
     """
-    found = search(problem, start, limits, max_evaluations, close_sd, tilt)
     if tilt is not None:
-        return found
+        return search(problem, start, limits, max_evaluations, close_sd, tilt)
+    found = search(problem, start, limits, max_evaluations, max(close_sd, ROUGHLY_SD))
     known: list[tuple[Floats, float, Floats]] = []
     for _ in range(MOST_TILTS):
         if not found.status.usable:
@@ -144,7 +148,7 @@ def search(
     point = start
     visited: list[Place] = []
     evaluations, near, rough = 1, 0, 0
-    last: tuple[Floats, float] | None = None
+    trail = list[tuple[Floats, Floats]]()
     promised = np.inf
     while True:
         weights = problem.weights(point, slope, weights)
@@ -158,18 +162,17 @@ def search(
         nearly = predicted < SETTLED
         guiding, shortest = not nearly, 0.25 if nearly else SHORTEST_STEP
         moved: WeighedPoint | None = None
-        wished = np.concatenate([step, nuisances - point.nuisances])
-        if last is not None and predicted < SMALL:
-            share = _relaxed(wished, *last, slope, weights)
-            shortest = min(shortest, share)
+        trail = _ahead(trail, point, step, nuisances) if predicted < SMALL else []
+        mixed = _mixed(trail, slope, weights) if len(trail) > 1 else None
         while moved is None and share >= shortest:
             if evaluations >= max_evaluations:
                 return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited), short, tilt)
-            # More than the whole step in the log: a compliance can't fall below 0.
-            ahead = log_step(share * step) if share <= 1.0 else share * log_step(step)
-            target = np.clip(point.log_ratios + ahead, *limits)
+            target = np.clip(point.log_ratios + log_step(share * step), *limits)
             wanted = point.nuisances + share * (nuisances - point.nuisances)
-            if guiding and refused:
+            if mixed is not None:
+                target = np.clip(point.log_ratios + mixed[: len(step)], *limits)
+                wanted = point.nuisances + mixed[len(step) :]
+            elif guiding and refused:
                 tried = [Place(point, slope), *refused]
                 guided = _guided([tried[0], *visited, *refused], weights, limits, tilt)
                 if any(np.allclose(guided[0], place.point.log_ratios, rtol=0.0, atol=SAME) for place in tried):
@@ -183,7 +186,10 @@ def search(
                 after = phi(trial, weights) + _added(tilt, target)
             except EquilibriumError:
                 problem.trial_set.note(target, float("nan"), None, False)
-                share = 1.0 if share > 1.0 else 0.25 * share
+                if mixed is not None:
+                    mixed = None
+                    continue
+                share *= 0.25
                 # Led to a place without equilibrium, the search would be led there again.
                 guiding = guiding and not refused
                 continue
@@ -193,8 +199,8 @@ def search(
                 problem.trial_set.note(target, after, trial.evaluation, True)
                 break
             problem.trial_set.note(target, after, trial.evaluation, False)
-            if share > 1.0:
-                share = 1.0
+            if mixed is not None:
+                mixed = None
                 continue
             rough += predicted < CREASED
             if guiding:
@@ -206,7 +212,7 @@ def search(
         if moved is None:
             status = FitStatus.CONVERGED if predicted < NEAR_ENOUGH else FitStatus.STALLED
             return WeighedFit(point, slope, weights, status, _pairs(visited), short, tilt)
-        point, slope, last = moved, problem.slope(moved), (wished, share)
+        point, slope = moved, problem.slope(moved)
 
 
 def _added(tilt: Kriging | None, log_ratios: Floats) -> float:
@@ -218,22 +224,33 @@ def _steepness(tilt: Kriging | None, point: WeighedPoint) -> Floats:
     return np.zeros(len(point.log_ratios)) if tilt is None else tilt.slopes(point.log_ratios[None])[0, 0]
 
 
-def _relaxed(wished: Floats, before: Floats, taken: float, slope: WeighedSlope, weights: Weights) -> float:
-    """The share to take of a step of a fixed-point iteration, (P + M,), after so much was taken of the one ``before``.
+def _ahead(
+    trail: list[tuple[Floats, Floats]], point: WeighedPoint, step: Floats, nuisances: Floats
+) -> list[tuple[Floats, Floats]]:
+    """The last places of a search, log ratios and nuisances (P + M,), with the steps wished there, and this one."""
+    here = np.concatenate([point.log_ratios, point.nuisances])
+    return [*trail[-MIXED:], (here, np.concatenate([log_step(step), nuisances - point.nuisances]))]
 
-    Where one direction decides, it ends there (Irons and Tuck 1969). A step that has grown leads away from a place
-    where it would vanish, as on a ridge between two valleys; then as much as may be is taken.
+
+def _mixed(trail: Sequence[tuple[Floats, Floats]], slope: WeighedSlope, weights: Weights) -> Floats | None:
+    """The way (P + M,) to where the steps of a fixed-point iteration would vanish, or None.
+
+    What the steps change by along the trail is taken as linear (Anderson 1965; Walker and Ni 2011). A step that has
+    grown leads away from a place where it would vanish, as on a ridge between two valleys; then as much of it as may be
+    is taken.
     """
-    ratios, change = weights.whiten(slope.ratios), wished - before
-    p = ratios.shape[1]
-
-    def product(a: Floats, b: Floats) -> float:
-        return float((ratios @ a[:p]) @ (ratios @ b[:p]) + a[p:] @ b[p:])
-
-    along = product(before, change)
-    if along >= 0.0:
-        return MOST_SHARE
-    return float(np.clip(-taken * along / max(product(change, change), 1e-300), LEAST_SHARE, MOST_SHARE))
+    p, columns = slope.ratios.shape[1], weights.whiten(np.column_stack([slope.ratios, slope.nuisances]))
+    places, steps = (np.array(part).T for part in zip(*trail))
+    sized = np.vstack([columns @ steps, steps[p:]])
+    step, longest = steps[:, -1], MOST_SHARE * float(np.linalg.norm(sized[:, -1]))
+    if float(sized[:, -2] @ (sized[:, -1] - sized[:, -2])) >= 0.0:
+        return np.asarray(MOST_SHARE * step)
+    shares = np.linalg.lstsq(np.diff(sized, axis=1), sized[:, -1])[0]
+    way = step - np.diff(places + steps, axis=1) @ shares
+    long = np.concatenate([columns @ way, way[p:]])
+    if not float(long @ sized[:, -1]) > 0.0:
+        return None
+    return np.asarray(min(1.0, longest / float(np.linalg.norm(long))) * way)
 
 
 def _pairs(places: list[Place]) -> tuple[tuple[WeighedPoint, WeighedSlope], ...]:

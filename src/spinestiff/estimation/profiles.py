@@ -23,13 +23,14 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights, p
 
 CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.05
-# Ends agree once the emulator's psi and the model's differ by less than this there.
-CLOSE_ENOUGH = 0.1
+# Ends agree once the emulator's psi and the model's differ by less than this there; on a coarser mesh, where they tell
+# the shape alone, once they differ by less than ``ROUGHLY``.
+CLOSE_ENOUGH, ROUGHLY = 0.1, 0.5
 MOST_ROUNDS = 8
 # A place as near as this to a solved one, in the estimate's standard deviations, is not solved, since the emulator
 # knows psi and its slope next to it, unless that is farther in log ratio than ``NEAR_LOG``; one farther than
 # ``FARTHEST_STEP`` from all of them is approached first. None is solved twice, give or take ``SAME``.
-NEAR, NEAR_LOG, FARTHEST_STEP, SAME = 0.1, 0.15, 1.2, 1e-3
+NEAR, NEAR_LOG, FARTHEST_STEP, SAME = 0.15, 0.15, 1.2, 1e-3
 # So many standard deviations around a place without equilibrium nothing is tried again; around one whose most probable
 # nuisances were not found once more, from where the emulator has them then.
 HOPELESS = 0.5
@@ -94,6 +95,26 @@ class Likely(ShortRepr):
     likelier: WeighedPoint | None = None
 
 
+@dataclass(frozen=True)
+class _Explored:
+    """Where psi is known after the model was solved at the ends of the intervals.
+
+    Attributes
+    ----------
+    places : that were solved, the estimate first. emulator : through them. profiles : (P,) on it.
+    ends : low and high one of each ratio, all log ratios and whether it is the fit's bound.
+    settled : as ``Likely`` has it. candidates, density : as ``_candidates`` has them, for ``covariance`` of a draw.
+    """
+
+    places: list[Place]
+    emulator: Emulator
+    profiles: tuple[Profile, ...]
+    ends: list[tuple[Floats, bool]]
+    settled: bool
+    candidates: Floats
+    density: Floats
+
+
 def likely_ratios(
     problem: WeighedProblem,
     fit: WeighedFit,
@@ -108,6 +129,54 @@ def likely_ratios(
     visited : places that the search solved. limits : of the log ratios.
     rough : places that are known on a coarser mesh (``Emulator``).
     """
+    found = _explored(problem, fit, visited, limits, rough, CLOSE_ENOUGH)
+    best, ends, emulator = fit.point.log_ratios, found.ends, found.emulator
+    low, high = (np.array([where[i // 2] for i, (where, _) in enumerate(ends) if i % 2 == side]) for side in (0, 1))
+    open_low, open_high = (
+        np.array([is_open for i, (_, is_open) in enumerate(ends) if i % 2 == side]) for side in (0, 1)
+    )
+    rise = 0.5 * region_rise(1)
+    kinds = tuple(
+        profile_kind(profile, best[i], bool(open_low[i]), bool(open_high[i]), limits, rise)
+        for i, profile in enumerate(found.profiles)
+    )
+    draws, effective = _draws(emulator, found.candidates, found.density)
+    return (
+        Likely(
+            low=low,
+            high=high,
+            open_low=open_low,
+            open_high=open_high,
+            kinds=kinds,
+            profiles=found.profiles,
+            region=_region(emulator, best, low, high) if len(best) == 2 else None,
+            draws=draws,
+            effective=effective,
+            emulator=emulator,
+            settled=found.settled,
+            likelier=_likelier(found.places, fit.weights),
+        ),
+        tuple(found.places),
+    )
+
+
+def telling_places(
+    problem: WeighedProblem, fit: WeighedFit, visited: list[Place], limits: tuple[float, float]
+) -> tuple[Place, ...]:
+    """Places that tell the shape of psi to somebody who solves the intervals' ends on a finer mesh: of this one's ends
+    no more is wanted than ``ROUGHLY``. Parameters as ``likely_ratios`` has them."""
+    return tuple(_explored(problem, fit, visited, limits, (), ROUGHLY).places)
+
+
+def _explored(
+    problem: WeighedProblem,
+    fit: WeighedFit,
+    visited: list[Place],
+    limits: tuple[float, float],
+    rough: Sequence[Place],
+    close_enough: float,
+) -> _Explored:
+    """Ends, solved until emulator and model agree there by ``close_enough``."""
     places = [Place(fit.point, fit.slope.light), *visited]
     model = reduced(fit.point, fit.slope, fit.weights)
     precision = model.ratios.T @ model.ratios
@@ -120,46 +189,22 @@ def likely_ratios(
         emulator = Emulator(places, fit.weights, rough=rough)
         scouts = np.vstack([candidates, *(place.point.log_ratios for place in places)])
         tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits, scouts)
-        profiles = [tracer.profile(i, rise) for i in range(len(precision))]
+        profiles = tuple(tracer.profile(i, rise) for i in range(len(precision)))
         ends = [tracer.end(profile, i, sign, rise) for i, profile in enumerate(profiles) for sign in (-1.0, 1.0)]
         wanted = [where for where, _ in ends]
         heights = tracer.heights[: len(candidates)]
-        if heights.min() < -CLOSE_ENOUGH:
+        if heights.min() < -close_enough:
             # Lower than the estimate: a hole between places, which would draw the draws.
             wanted.append(candidates[int(np.argmin(heights))])
         if solved == MOST_ROUNDS:
             settled = False
             break
-        wrong, unsolved = _solve_ends(problem, fit, emulator, places, wanted, np.linalg.inv(covariance), failed)
+        tangent = np.linalg.inv(covariance)
+        wrong, unsolved = _solve_ends(problem, fit, emulator, places, wanted, tangent, failed, close_enough)
         if not wrong:
             settled = not any(k < len(ends) for k in unsolved)
             break
-    low, high = (np.array([where[i // 2] for i, (where, _) in enumerate(ends) if i % 2 == side]) for side in (0, 1))
-    opens = [np.array([is_open for i, (_, is_open) in enumerate(ends) if i % 2 == side]) for side in (0, 1)]
-    kinds = tuple(
-        profile_kind(profile, fit.point.log_ratios[i], bool(opens[0][i]), bool(opens[1][i]), limits, rise)
-        for i, profile in enumerate(profiles)
-    )
-    draws, effective = _draws(emulator, candidates, density)
-    region = _region(emulator, fit.point.log_ratios, low, high) if len(precision) == 2 else None
-    open_low, open_high = opens
-    return (
-        Likely(
-            low=low,
-            high=high,
-            open_low=open_low,
-            open_high=open_high,
-            kinds=kinds,
-            profiles=tuple(profiles),
-            region=region,
-            draws=draws,
-            effective=effective,
-            emulator=emulator,
-            settled=settled,
-            likelier=_likelier(places, fit.weights),
-        ),
-        tuple(places),
-    )
+    return _Explored(places, emulator, profiles, ends, settled, candidates, density)
 
 
 def _likelier(places: Sequence[Place], weights: Weights) -> WeighedPoint | None:
@@ -202,6 +247,7 @@ def _solve_ends(
     ends: list[Floats],
     precision: Floats,
     failed: list[Floats],
+    close_enough: float,
 ) -> tuple[bool, list[int]]:
     """Solve the model at those ends where the emulator may be wrong: whether it was, and which could not be solved.
 
@@ -236,7 +282,7 @@ def _solve_ends(
             continue
         places.append(place)
         if found:
-            wrong |= abs(height - float(emulator.psi(where)[0])) > CLOSE_ENOUGH
+            wrong |= abs(height - float(emulator.psi(where)[0])) > close_enough
         else:  # the emulator has no use for it
             unsolved.append(k)
             failed.append(where)

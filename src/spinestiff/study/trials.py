@@ -16,7 +16,7 @@ from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
 from spinestiff.estimation.fitted import FitEnd, Method, StiffnessFit
-from spinestiff.estimation.mode import CLOSE_SD
+from spinestiff.estimation.mode import CLOSE_SD, ROUGHLY_SD
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import check_population
@@ -414,9 +414,10 @@ def fit_from_coarse(
     rough: StiffnessFit | None = None
     if coarse is not None:
         say("on the coarse mesh first")
-        shape: Extent = "estimate" if extent == "estimate" else "intervals"
+        shape: Extent = "estimate" if extent == "estimate" else "shape"
+        near = max(close_sd, ROUGHLY_SD)
         try:
-            rough = fit_pushes(coarse, names, start, method, observer, shape, population=population, close_sd=close_sd)
+            rough = fit_pushes(coarse, names, start, method, observer, shape, population=population, close_sd=near)
         except FitError:
             say("no fit on the coarse mesh")
         else:
