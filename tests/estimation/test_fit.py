@@ -12,7 +12,7 @@ from spinestiff.anatomy.stiffness import RATIO_BOUNDS, parameter_group
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation import fit as fitting
-from spinestiff.estimation import profiles
+from spinestiff.estimation import mode, profiles
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
 from spinestiff.estimation.fitted import FitEnd
@@ -107,16 +107,46 @@ def test_a_rough_fit_spares_evaluations_and_changes_no_interval(column, noisy) -
     start = {"lateral_bending": 1.0, "tissue": 0.6}
     joints = replace(column.torso.joints, stiffness=1.1 * column.torso.joints.stiffness)
     stiffer = EquilibriumProblem(replace(column.torso, joints=joints), column.problem.supports)
-    rough, fewer = (fit_stiffness(stiffer, trials, bounds=BOUNDS, extent="intervals") for trials in (noisy, noisy[:2]))
+    rough, fewer = (fit_stiffness(stiffer, trials, bounds=BOUNDS, extent="shape") for trials in (noisy, noisy[:2]))
     alone, led, aside = (
         fit_stiffness(column.problem, noisy, start=start, bounds=BOUNDS, extent="intervals", rough=given)
         for given in (None, rough, fewer)
     )
+    assert rough.likely is None
     assert len(rough.weighed.places) > 3
     for name, (low, high) in alone.intervals95.items():
         assert led.intervals95[name] == pytest.approx((low, high), rel=0.05)
         assert aside.intervals95[name] == (low, high)
     assert len(led.history) < len(alone.history) == len(aside.history)
+
+
+def test_a_finer_fit_takes_how_precise_nuisances_are_from_a_rough_one(column, noisy, monkeypatch) -> None:
+    """Also where no intervals are asked for; of other trials it solves for that itself."""
+    solved: list[int] = []
+    slope = mode._precision_slope
+    monkeypatch.setattr(mode, "_precision_slope", lambda *args: solved.append(1) or slope(*args))
+
+    def fit(trials, rough=None):
+        solved.clear()
+        start = {"lateral_bending": 1.0, "tissue": 0.6}
+        found = fit_stiffness(column.problem, trials, start=start, bounds=BOUNDS, extent="estimate", rough=rough)
+        return found, len(solved)
+
+    rough, alone = fit(noisy)
+    fewer, _ = fit(noisy[:2])
+    led, aside = fit(noisy, rough), fit(noisy, fewer)
+    assert alone == aside[1] > led[1] == 0
+    assert led[0].ratios.values == pytest.approx(rough.ratios.values, rel=1e-3)
+
+
+def test_the_shape_alone_needs_no_ends_that_agree_closely(column, noisy, monkeypatch) -> None:
+    monkeypatch.setattr(profiles, "CLOSE_ENOUGH", 1e-3)
+    estimate, shape, intervals = (
+        fit_stiffness(column.problem, noisy, bounds=BOUNDS, extent=extent)
+        for extent in ("estimate", "shape", "intervals")
+    )
+    assert np.array_equal(shape.ratios.values, intervals.ratios.values)
+    assert len(estimate.history) < len(shape.history) < len(intervals.history)
 
 
 def test_a_fit_goes_on_where_another_ended(column, noisy, whole, monkeypatch) -> None:

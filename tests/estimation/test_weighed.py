@@ -196,6 +196,20 @@ def test_what_nothing_holds_is_not_measured_against_a_place(column, noisy) -> No
     assert level.size > column.weighed(noisy).size
 
 
+def test_the_first_of_two_searches_need_not_end_close(column, asked, found, monkeypatch) -> None:
+    """The second one goes a few tenths of a standard deviation farther, wherever the first one ended."""
+
+    def evaluations(near: float) -> tuple[WeighedFit, int]:
+        monkeypatch.setattr(mode, "ROUGHLY_SD", near)
+        before = len(asked.trial_set.history)
+        return column.estimated(asked), len(asked.trial_set.history) - before
+
+    (ended, few), (closer, more) = evaluations(mode.ROUGHLY_SD), evaluations(mode.CLOSE_SD)
+    assert few < more
+    assert max(ended.short, closer.short) < mode.CLOSE_SD
+    assert (np.abs(logs(ended) - logs(closer)) < 0.01 * sd_of(found)).all()
+
+
 def test_short_steps_are_taken_until_little_is_left(column, asked, found, monkeypatch) -> None:
     monkeypatch.setattr(mode, "_mixed", lambda trail, *args: 0.1 * trail[-1][1])
     start = asked.solve(found.point.log_ratios + 0.3, found.point.nuisances, found.point)

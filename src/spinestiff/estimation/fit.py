@@ -126,11 +126,12 @@ def fit_stiffness(
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
         start_point = _start_point(asked, first, nuisances, default, limits)
-        places = _rough_places(asked, rough)
+        coarser = _of_the_same(asked, rough)
+        places = () if coarser is None else coarser.places
         if len(names) > MOST_PROFILED:
             found = search(asked, start_point, limits, max_iterations, close_sd)
         else:
-            tilt = rough.weighed.tilt if rough is not None and rough.weighed is not None and places else None
+            tilt = None if coarser is None else coarser.tilt
             found = likeliest(asked, start_point, limits, max_iterations, close_sd, tilt)
         likely, known = _likely(asked, found, limits, extent, places)
         point, status = found.point.evaluation, found.status
@@ -315,13 +316,13 @@ def _started(asked: WeighedProblem, log_ratios: Floats, nuisances: Floats, near:
     return point
 
 
-def _rough_places(asked: WeighedProblem, rough: StiffnessFit | None) -> tuple[Place, ...]:
-    """The rough fit's places, if it is of the ratios asked for and of as many residuals and nuisances."""
+def _of_the_same(asked: WeighedProblem, rough: StiffnessFit | None) -> Weighed | None:
+    """What the rough fit tells, if it is of the same ratios, trials and nuisances."""
     if rough is None or rough.weighed is None or rough.names != tuple(group.name for group in asked.trial_set.groups):
-        return ()
-    places = rough.weighed.places
-    shape = (asked.size, len(asked.unknowns))
-    return places if places and places[0].slope.nuisances.shape == shape else ()
+        return None
+    found, names = rough.weighed, tuple(one.name for one in rough.weighed.nuisances)
+    same = names == asked.unknowns.names and len(rough.residuals) == len(asked.trial_set.trials)
+    return found if same and all(len(place.slope.nuisances) == asked.size for place in found.places) else None
 
 
 def _likely(

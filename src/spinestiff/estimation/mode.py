@@ -30,7 +30,7 @@ from spinestiff.estimation.weighed import Reduced, WeighedFit, WeighedProblem, W
 CLOSE_SD = 1e-3
 # So near is near enough where another search goes on from there: phi's least, from which psi's lies a few tenths of a
 # standard deviation off, or the estimate on a coarser mesh.
-ROUGHLY_SD = 0.1
+ROUGHLY_SD = 0.02
 # Steps that promise less than this (three sds) are mixed with so many before, to at most so many times the step.
 SMALL, MIXED, MOST_SHARE = 4.5, 3, 8.0
 # Where so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd) and no less than half of the one

@@ -18,7 +18,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.changes import change_between
 from spinestiff.curves.tilts import CobbChange, cobb_change, tilts
-from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
 from spinestiff.estimation.evaluation import acted
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.objective import Target, make_target, residuals
@@ -314,11 +314,12 @@ def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
         found, state = expected.copy(), frame.solved["fit"].state
         for _ in range(FITTED_ROUNDS):
             asked, load, ratios = acted(problem, item.trial.load, model.ratios, found)
-            equilibrium = asked.solve(load, ratios, state)
-            if not equilibrium.converged:
+            try:
+                equilibrium, tangent = asked.solve_linearised(load, ratios, state)
+            except EquilibriumError:
                 return None
             state, part = equilibrium.state, residuals(pushes.torso, frame.target, equilibrium.state)
-            columns = part.along(asked.linearise(equilibrium, load, ratios).place_derivative()) * sds
+            columns = part.along(tangent.place_derivative()) * sds
             away = (found[places] - expected[places]) / sds
             # As sure of a corner as of one set by hand.
             rows = np.vstack([columns / priors.annotation_mm, np.eye(2)])
