@@ -103,7 +103,7 @@ class _Explored:
     ----------
     places : that were solved, the estimate first. emulator : through them. profiles : (P,) on it.
     ends : low and high one of each ratio, all log ratios and whether it is the fit's bound.
-    settled : as ``Likely`` has it. candidates, density : as ``_candidates`` has them, for ``covariance`` of a draw.
+    settled : as ``Likely`` has it. candidates, density : places inside the bounds, as ``_candidates`` has them.
     """
 
     places: list[Place]
@@ -179,9 +179,9 @@ def _explored(
     """Ends, solved until emulator and model agree there by ``close_enough``."""
     places = [Place(fit.point, fit.slope.light), *visited]
     model = reduced(fit.point, fit.slope, fit.weights)
-    precision = model.ratios.T @ model.ratios
     # A direction without any information gets the bounds' own width.
-    covariance = np.asarray(np.linalg.inv(precision + np.eye(len(precision)) / (limits[1] - limits[0]) ** 2), float)
+    precision = model.ratios.T @ model.ratios + np.eye(len(fit.point.log_ratios)) / (limits[1] - limits[0]) ** 2
+    covariance = np.asarray(np.linalg.inv(precision), float)
     rise = 0.5 * region_rise(1)
     candidates, density = _candidates(fit.point.log_ratios, covariance, limits)
     failed: list[Floats] = []
@@ -199,8 +199,7 @@ def _explored(
         if solved == MOST_ROUNDS:
             settled = False
             break
-        tangent = np.linalg.inv(covariance)
-        wrong, unsolved = _solve_ends(problem, fit, emulator, places, wanted, tangent, failed, close_enough)
+        wrong, unsolved = _solve_ends(problem, fit, emulator, places, wanted, precision, failed, close_enough)
         if not wrong:
             settled = not any(k < len(ends) for k in unsolved)
             break
