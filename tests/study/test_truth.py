@@ -34,7 +34,8 @@ def test_the_truth_is_measured_on_the_model(finished, made, tmp_path):
     """At the estimate itself the distance is 0; for truths near it the linear answer; far off it is outside."""
     fit = finished.fit
     at_estimate = compare_with_truth(*made, with_truth(tmp_path, **fit.ratios.as_dict()))
-    assert at_estimate.distance2 < 1e-6
+    # The search ends about a thousandth of a standard deviation from its minimum.
+    assert at_estimate.distance2 < 0.003**2
     assert at_estimate.inside is True
     direction = np.linalg.cholesky(fit.covariance) @ np.array([0.6, 0.8])
     near = [dict(zip(fit.names, np.exp(np.log(fit.ratios.values) + s * direction).tolist())) for s in (0.1, -0.1)]
