@@ -10,7 +10,8 @@ from counted_intervals import NAMES
 
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.fitted import FitEnd, StiffnessFit
-from spinestiff.estimation.profiles import WIDTH_FACTOR, Profile
+from spinestiff.estimation.profiles import WIDTH_FACTOR
+from spinestiff.estimation.tracing import Profile
 from spinestiff.study.trials import PushSet, rise_of
 
 

@@ -17,17 +17,15 @@ from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
     CLOSE_ENOUGH,
     WIDTH_FACTOR,
-    Profile,
     _likelier,
     _solve_ends,
-    _Tracer,
     likely_ratios,
-    profile_kind,
     region_rise,
     rise_at,
     solved_place,
 )
 from spinestiff.estimation.status import FitStatus
+from spinestiff.estimation.tracing import Profile, Tracer, profile_kind
 from spinestiff.estimation.weighed import WeighedFit, Weights, phi, reduced
 
 
@@ -301,7 +299,7 @@ def test_a_profile_that_hardly_rises_is_followed_to_the_bounds(found, likely) ->
     """Bounds 60 standard deviations off, beyond which nothing is known: no profile ends in between."""
     limits = (-60.0 * float(sd_of(found).max()), 60.0 * float(sd_of(found).max()))
     emulator = SimpleNamespace(psi=lambda where: 1e-4 * np.sum(np.atleast_2d(where) ** 2, axis=1))
-    tracer = _Tracer(emulator, np.zeros(2), np.diag(sd_of(found) ** 2), limits, np.zeros((1, 2)))
+    tracer = Tracer(emulator, np.zeros(2), np.diag(sd_of(found) ** 2), limits, np.zeros((1, 2)))
     for i in range(2):
         profile = tracer.profile(i, 1.92)
         assert (profile.log_ratios[0], profile.log_ratios[-1]) == limits
@@ -322,7 +320,7 @@ def test_an_interval_holds_a_valley_beside_the_estimates(sign, others) -> None:
         return -np.logaddexp(-0.5 * own, -0.5 * beside)
 
     scouts = np.array([[1.05 * sign, 3.1]]) if others is None else others
-    tracer = _Tracer(SimpleNamespace(psi=height), np.zeros(2), np.diag([0.04, 0.25]), (-6.0, 6.0), scouts)
+    tracer = Tracer(SimpleNamespace(psi=height), np.zeros(2), np.diag([0.04, 0.25]), (-6.0, 6.0), scouts)
     profile = tracer.profile(0, 1.92)
     assert np.interp(sign, profile.log_ratios, profile.rise) == pytest.approx(1.0, abs=0.1) or others is None
     (near, _), (far, _) = (tracer.end(profile, 0, side, 1.92) for side in (-sign, sign))

@@ -11,7 +11,8 @@ from scipy.special import ndtri
 
 from spinestiff.arrays import Floats
 from spinestiff.estimation.emulator import Emulator, Place
-from spinestiff.estimation.profiles import CONFIDENCE, DRAWS, WIDTH_FACTOR, Likely, interval_kind
+from spinestiff.estimation.profiles import CONFIDENCE, DRAWS, WIDTH_FACTOR, Likely
+from spinestiff.estimation.tracing import interval_kind
 from spinestiff.estimation.weighed import WeighedFit, reduced
 
 # Up to so many ratios have profiles.

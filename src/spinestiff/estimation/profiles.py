@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq, minimize
 from skimage.measure import find_contours
 
 from spinestiff.arrays import Floats, ShortRepr
@@ -19,6 +18,7 @@ from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.emulator import FAR_AND_HIGH, FARTHEST_NUISANCES, HIGH, Emulator, Place
 from spinestiff.estimation.mode import MOST_FACTORISATIONS
 from spinestiff.estimation.point import WeighedPoint
+from spinestiff.estimation.tracing import Profile, Tracer, profile_kind
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights, phi, reduced
 
 CONFIDENCE = 0.95
@@ -37,32 +37,8 @@ HOPELESS = 0.5
 # Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times; by
 # half as much where they are not as near as this share of how near they were.
 MOST_AGAIN, SHRINKING = 3, 0.7
-# Steps of a profile, in standard deviations and at most in log ratio; each is so much longer than the last one, so that
-# the bounds are reached.
-STEP, LONGEST, LONGER = 0.35, 0.5, 1.05
-# A profile goes over to another valley where a candidate or a solved place within so many standard deviations of the
-# given ratio, and as many of the others' from its own place, is no higher than the valley it is in by so much.
-BESIDE, APART, RIVAL = 0.25, 2.0, 1.0
-# A profile that rises by less than this anywhere inside the bounds is flat.
-FLAT = 0.5
-# Another minimum is one that a ridge of this height parts from the estimate.
-RIDGE = 0.5
 DRAWS, CANDIDATES = 500, 4000
 GRID = 61
-
-
-@dataclass(frozen=True, repr=False)
-class Profile(ShortRepr):
-    """The least psi over one log ratio.
-
-    Attributes
-    ----------
-    log_ratios : (n,) rising. others : (n, P) all log ratios there. rise : (n,) of psi over the estimate's.
-    """
-
-    log_ratios: Floats
-    others: Floats
-    rise: Floats
 
 
 @dataclass(frozen=True, repr=False)
@@ -188,7 +164,7 @@ def _explored(
     for solved in range(MOST_ROUNDS + 1):
         emulator = Emulator(places, fit.weights, rough=rough)
         scouts = np.vstack([candidates, *(place.point.log_ratios for place in places)])
-        tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits, scouts)
+        tracer = Tracer(emulator, fit.point.log_ratios, covariance, limits, scouts)
         profiles = tuple(tracer.profile(i, rise) for i in range(len(precision)))
         ends = [tracer.end(profile, i, sign, rise) for i, profile in enumerate(profiles) for sign in (-1.0, 1.0)]
         wanted = [where for where, _ in ends]
@@ -330,138 +306,6 @@ def solved_place(
             share *= 0.5
         nuisances, before = point.nuisances + share * (model.nuisances - point.nuisances), far
     return Place(point, slope.light), height, bool(found)
-
-
-class _Tracer:
-    """Profiles on an emulator, followed outward from the estimate.
-
-    Parameters
-    ----------
-    scouts : (S, P) log ratios inside the limits, which show valleys beside the one that is followed.
-    """
-
-    def __init__(
-        self, emulator: Emulator, best: Floats, covariance: Floats, limits: tuple[float, float], scouts: Floats
-    ) -> None:
-        self._emulator, self._best, self._covariance, self._limits = emulator, best, covariance, limits
-        self._least = float(emulator.psi(best)[0])
-        self._sd = np.sqrt(np.diag(covariance))
-        self._scouts, self.heights = scouts, emulator.psi(scouts) - self._least
-
-    def profile(self, i: int, rise: float) -> Profile:
-        """Outward until psi has risen by twice ``rise``, with no scout inside any farther, or to the bounds."""
-        found = [(self._best, 0.0)]
-        inside = self._scouts[self.heights <= rise]
-        for sign in (-1.0, 1.0):
-            at, before, step = self._best, 0.0, min(STEP * self._sd[i], LONGEST)
-            farthest = float(np.max(sign * inside[:, i], initial=-np.inf))
-            while True:
-                value = float(np.clip(at[i] + sign * step, *self._limits))
-                if value == at[i]:
-                    break
-                step = min(LONGER * step, LONGEST)
-                at, height = self._lowest(i, value, at)
-                found.append((at, height))
-                if height > 2.0 * rise and height > before and sign * value > farthest:
-                    break
-                before = height
-            if farthest > max(sign * place[i] for place, height in found if height <= rise):
-                # Between two steps, in a valley of its own.
-                scout = inside[int(np.argmax(sign * inside[:, i]))]
-                found.append(self._lowest(i, float(scout[i]), scout))
-        found.sort(key=lambda one: float(one[0][i]))
-        others = np.array([where for where, _ in found])
-        return Profile(others[:, i], others, np.array([height for _, height in found]))
-
-    def end(self, profile: Profile, i: int, sign: float, rise: float) -> tuple[Floats, bool]:
-        """All log ratios at an end of ratio i's interval, and whether it is the fit's bound."""
-        own, bound = profile.log_ratios, self._limits[int(sign > 0.0)]
-        order = np.argsort(sign * own)
-        # The outermost place inside: several minima belong to one interval.
-        last = next(k for k in order[::-1] if profile.rise[k] <= rise)
-        start = profile.others[last]
-
-        def over(value: float) -> float:
-            return self._lowest(i, value, start)[1] - rise
-
-        for value in [*own[order[sign * own[order] > sign * own[last]]], bound]:
-            if value != start[i] and over(value) > 0.0:
-                root = brentq(over, start[i], value, xtol=1e-3 * self._sd[i])
-                return self._lowest(i, float(root), start)[0], False
-            start = self._lowest(i, value, start)[0]
-        return start, True
-
-    def _lowest(self, i: int, value: float, near: Floats) -> tuple[Floats, float]:
-        """Place and height of the least psi with log ratio i given, from ``near`` or in a valley that scouts show."""
-        others = [j for j in range(len(near)) if j != i]
-        start = near.copy()
-        start[i] = value
-        if not others:
-            return start, float(self._emulator.psi(start)[0]) - self._least
-        follow = self._covariance[others, i] / self._covariance[i, i]
-        start[others] = np.clip(start[others] + follow * (value - near[i]), *self._limits)
-        scale = np.sqrt(np.maximum(self._sd[others] ** 2 - follow * self._covariance[others, i], 1e-8))
-        found, height = self._downhill(start, others, scale)
-        beside = np.abs(self._scouts[:, i] - value) < BESIDE * self._sd[i]
-        apart = np.abs((self._scouts[:, others] - found[others]) / scale).max(axis=1)
-        rivals = np.flatnonzero(beside & (apart > APART) & (self.heights < height + RIVAL))
-        if len(rivals):
-            start = self._scouts[rivals[np.argmin(self.heights[rivals])]].copy()
-            start[i] = value
-            other, lower = self._downhill(start, others, scale)
-            if lower < height:
-                return other, lower
-        return found, height
-
-    def _downhill(self, start: Floats, others: list[int], scale: Floats) -> tuple[Floats, float]:
-        """Place and height of the next least psi over some of the log ratios."""
-
-        def height(x: Floats) -> tuple[float, Floats]:
-            where = np.tile(start, (1 + 2 * len(others), 1))
-            where[:, others] = start[others] + scale * x
-            for k, j in enumerate(others):
-                where[1 + 2 * k, j] += 1e-3 * scale[k]
-                where[2 + 2 * k, j] -= 1e-3 * scale[k]
-            values = self._emulator.psi(where)
-            return float(values[0]), (values[1::2] - values[2::2]) / 2e-3
-
-        bounds = [((self._limits[0] - start[j]) / s, (self._limits[1] - start[j]) / s) for j, s in zip(others, scale)]
-        found = minimize(height, np.zeros(len(others)), jac=True, method="L-BFGS-B", bounds=bounds)
-        place = start.copy()
-        place[others] = np.clip(start[others] + scale * found.x, *self._limits)
-        return place, float(found.fun) - self._least
-
-
-def interval_kind(best: float, open_low: bool, open_high: bool, limits: tuple[float, float]) -> str:
-    """The word for an estimate (log) with an interval whose ends are the fit's bounds or not (``Likely.kinds``)."""
-    if open_low and open_high:
-        return "flat"
-    if min(best - limits[0], limits[1] - best) < 1e-6:
-        return "at a bound"
-    return "one-sided" if open_low or open_high else "bounded"
-
-
-def profile_kind(
-    profile: Profile, best: float, open_low: bool, open_high: bool, limits: tuple[float, float], rise: float
-) -> str:
-    """The word for a profile (``Likely.kinds``).
-
-    Parameters
-    ----------
-    best : the estimate, log. open_low, open_high : the interval's end is the fit's bound.
-    limits : the fit's bounds, log. rise : of psi at an interval's end.
-    """
-    kind = "flat" if profile.rise.max() < FLAT else interval_kind(best, open_low, open_high, limits)
-    if kind != "bounded":
-        return kind
-    ends = np.flatnonzero(profile.rise <= rise)[[0, -1]]
-    # With ridges that are higher than the interval's ends.
-    inside = profile.rise[ends[0] : ends[1] + 1]
-    falls = np.diff(inside)
-    turns = np.flatnonzero((falls[:-1] > 0.0) & (falls[1:] < 0.0)) + 1
-    if any(inside[t] - max(inside[:t].min(), inside[t:].min()) > RIDGE for t in turns):
-        return "several minima"
-    return "bounded"
 
 
 def _region(emulator: Emulator, best: Floats, low: Floats, high: Floats) -> Floats | None:
