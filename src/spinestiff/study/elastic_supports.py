@@ -28,7 +28,7 @@ FARTHEST_OBLIQUITY_DEG, FARTHEST_SHOULDER_MM = 20.0, 50.0  # that may be asked f
 BELT_ARM_MM = 100.0  # from the pelvis' origin to each of the belt's two springs; only their moment matters
 STILL = 1e5  # N/mm, of a pad that is to be at a place: 40 N move it by 0.4 um
 UNCHANGED = 1e-4  # of a stiffness, between rounds; a soft torso under a large push gives tens of times as much
-STEPS = (0.0, 1 / 3, 2 / 3, 1.0)  # of push and places, the first time
+STEPS = (1 / 3, 2 / 3, 1.0)  # of push and places, the first time
 MAX_ROUNDS = 20
 
 
@@ -175,6 +175,9 @@ class _Places:
         self.slide = PUSH_DIRECTION[side] * give.shoulder_mm
         self.level = EquilibriumProblem(torso, elastic_supports(torso, side, SupportStiffness(None, PAD)))
         self.hinge = EquilibriumProblem(torso, elastic_supports(torso, side, SupportStiffness(0.0, PAD)))
+        both = elastic_supports(torso, side, SupportStiffness(None, STILL if self.slide else PAD))
+        self.held = self.level.with_supports(both)
+        _, self.at_rest = self.held.solve_linearised(pushes[0].scaled(0.0), ratios)
 
     def both(self, push: int) -> tuple[float, float]:
         """Belt, N mm/rad, and pad, N/mm, with pelvis and shoulder both where they are to be.
@@ -182,10 +185,9 @@ class _Places:
         Push and places grow together, each step from the last one's tangent. With the demo's torso that takes three
         quarters of the work of placing the supports first (27 and 36 CPU s).
         """
-        supports = elastic_supports(self.torso, self.side, SupportStiffness(None, STILL if self.slide else PAD))
-        held, start = self.level.with_supports(supports), None
+        start = self.at_rest
         for share in STEPS:
-            placed = held.with_place(SupportPlace(share * self.turn, share * self.slide))
+            placed = self.held.with_place(SupportPlace(share * self.turn, share * self.slide))
             found, start = placed.solve_linearised(self.pushes[push].scaled(share), self.ratios, start)
         self.last[push] = found.state
         return self._belt_of(found), self._pad_of(found)

@@ -39,6 +39,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.places import place_of_pelvis
 from spinestiff.mechanics.push import push_heights
+from spinestiff.mechanics.sensitivity import Linearisation
 from spinestiff.mechanics.supports import Supports
 from spinestiff.observer import Observer, heard
 from spinestiff.parallel import in_parallel
@@ -137,7 +138,8 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
 
     # All equilibria before the first file: a push that the torso can't carry leaves nothing behind.
     def pushed(push: SyntheticPush) -> list[TorsoState]:
-        states = [torso.rest_pose]
+        states = list[TorsoState]()
+        last: TorsoState | Linearisation = torso.rest_pose
         for share in push.shares:
             force = share * recipe.force_n
             if not force:  # at rest nothing is strained
@@ -145,9 +147,9 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
                 continue
             say(f"push '{push.id}': equilibrium at {force:.0f} N")
             at = maker.side_of(push)
-            found = problems[at].solve(rib_push(torso, at, push.level, force), solved, states[-1])
-            states.append(found.require().state)
-        return states[1:]
+            found, last = problems[at].solve_linearised(rib_push(torso, at, push.level, force), solved, last)
+            states.append(found.state)
+        return states
 
     states = in_parallel(pushed, recipe.pushes)
     discs: dict[str, float] | None = None
