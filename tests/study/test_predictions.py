@@ -126,14 +126,17 @@ def test_other_models_predict_the_held_out_frames_alone(torso, rest):
     assert [p.item.role for p in found.of_role("validation", "training")] == ["validation", "training"]
 
 
-def test_other_models_go_on_from_their_own_frame_before(torso, rest):
+def test_other_models_start_where_the_fit_is_and_go_on_from_their_own_frame_before(torso, rest):
     frames, forces = (rest, rest, rest, rest), (0.0, 20.0, 40.0, 60.0)
     pushes, problem = noting(make_set(torso, frames, forces, ("unused", "validation", "training", "validation")))
     found = predict(pushes, {"truth": Model(STIFF), "fit": Model(SOFT)}, {}, quiet)
-    assert [(force, start and start.state) for force, model, start in problem.asked if model is STIFF] == [
-        (20, None),
-        (60, found.frames[0].solved["truth"].state),
-    ]
+    of_fit, own = (found.frames[0].solved[name].state for name in ("fit", "truth"))
+    (_, first), (_, second) = [(force, start) for force, model, start in problem.asked if model is STIFF]
+    assert first is of_fit and second.state is own
+    # Where the fit has none, from rest.
+    pushes, problem = noting(make_set(torso, frames, forces, ("unused", "validation", "training", "validation")))
+    predict(pushes, {"truth": Model(STIFF)}, {}, quiet)
+    assert problem.asked[0] == (20, STIFF, None)
 
 
 def test_a_model_without_an_equilibrium_is_said_and_left_out(torso, rest):

@@ -190,10 +190,13 @@ def predict(
     ----------
     models : by name.
     known : what is solved already.
-    everywhere : models of all frames. The others predict the frames held out only.
+    everywhere : models of all frames. The others predict the frames held out only, of each push from what "fit" has in
+        the first, to which they are closer than to rest where tissue creases.
     """
     items = sorted((t for t in pushes.trials if t.force_n > 0.0), key=lambda t: (t.push, t.force_n))
     acts = {name: predicted_acts(pushes, items, model) for name, model in models.items()}
+
+    solved = dict(known)
 
     def of_push(chain: tuple[str, str]) -> dict[Key, Solved]:
         push, name = chain
@@ -202,10 +205,12 @@ def predict(
         for number, item in enumerate(items):
             if item.push != push or (name not in everywhere and item.role != "validation"):
                 continue
-            key = (push, item.frame, name)
+            key, fit = (push, item.frame, name), solved.get((push, item.frame, "fit"))
             if key in known:
                 last = known[key].state
                 continue
+            if last is None and fit is not None and name not in everywhere:
+                last = fit.state
             say(f"push '{push}' frame {item.frame}: {name} at {item.force_n:.0f} N")
             ratios, own = models[name].ratios, acts[name][number]
             asked, load, ratios = acted(pushes.problems[push], item.trial.load, ratios, own)
@@ -218,10 +223,11 @@ def predict(
             found[key] = Solved.of(solution)
         return found
 
-    solved = dict(known)
-    chains = [(push, name) for push in dict.fromkeys(item.push for item in items) for name in models]
-    for found in in_parallel(of_push, chains):
-        solved |= found
+    for of_all in (True, False):
+        names = [name for name in models if (name in everywhere) == of_all]
+        chains = [(push, name) for push in dict.fromkeys(item.push for item in items) for name in names]
+        for found in in_parallel(of_push, chains):
+            solved |= found
     return predictions_of(pushes, solved)
 
 
