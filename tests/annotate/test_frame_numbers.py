@@ -19,7 +19,7 @@ from unannotated import drawn
 def test_the_files_and_the_page_number_frames_alike(session):
     subject = session.subject
     push = subject.push("a")
-    frames = session.frames("push/a")
+    frames = session.radiographs.frames("push/a")
     assert [frame.frame for frame in frames] == [0, 1, 2]
     assert [push.frame_image(i) for i in range(3)] == ["push/a", "push/a/1", "push/a/2"]
     (shown,) = [image for image in session_record(session)["images"] if image["name"] == "push/a"]
@@ -32,12 +32,12 @@ def test_the_files_and_the_page_number_frames_alike(session):
 
 def test_the_strip_and_the_report_number_frames_alike(session):
     push = session.subject.push("a")
-    corners = VertebraCorners(("T5",), session.view("push/a").from_pixels(drawn("push/a").quads[4:5]))
+    corners = VertebraCorners(("T5",), session.radiographs.view("push/a").from_pixels(drawn("push/a").quads[4:5]))
     tracked = SimpleNamespace(corners=lambda index: corners)
     quality = [
         FrameQuality("a", i, force, ImageQuality(1.0, 5.0, 0.0), 1, 0.1, {}) for i, force in enumerate(push.forces_n)
     ]
-    row = Row(push, session.frames("push/a"), tracked, [Proposal(found, "unused", "") for found in quality])
+    row = Row(push, session.radiographs.frames("push/a"), tracked, [Proposal(found, "unused", "") for found in quality])
     titles = [axis.get_title(loc="left") for axis in draw_strip([row]).axes]
     assert ["frame 0, 0 N" in titles[0], "frame 2, 40 N" in titles[2]] == [True, True]
     assert _frame_title(SimpleNamespace(push="a", frame=2, force_n=40.0)) == "“a”, frame 2, 40 N"

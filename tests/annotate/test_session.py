@@ -50,13 +50,13 @@ def on_disk(session):
 def test_a_folder_without_annotation_opens_empty(session):
     assert session.images == ALL
     assert session.marks == {} and on_disk(session) == {"subject.json"}
-    assert [line.partition(":")[0] for line in session.missing({})] == list(ALL)
+    assert [line.partition(":")[0] for line in session.judge.missing({})] == list(ALL)
 
 
 def test_a_complete_annotation_is_one_that_all_other_steps_read(session):
     assert session.save(whole(), session.revision) == session.revision
     assert on_disk(session) == {"subject.json", "annotation.json"}
-    assert session.missing(session.marks) == []
+    assert session.judge.missing(session.marks) == []
     subject = read_subject(session.subject.folder)
     for name in ALL:
         np.testing.assert_allclose(subject.annotation.images[name].pixels(), drawn(name).quads, atol=0.006)
@@ -67,7 +67,7 @@ def test_few_vertebrae_wait_in_a_draft_and_come_back(session):
     session.save(draft(rest__frontal=few), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.draft.json"}
     assert AnnotationSession(session.subject.folder).marks == {"rest/frontal": few}
-    assert "3 vertebrae, wanted at least 8" in session.missing(session.marks)[0]
+    assert "3 vertebrae, wanted at least 8" in session.judge.missing(session.marks)[0]
     # The eighth makes it an annotation, and the draft goes.
     eight = marked("rest/frontal", *VERTEBRAE[:8])
     session.save(draft(rest__frontal=eight), session.revision)
@@ -79,7 +79,7 @@ def test_a_proposal_waits_in_the_draft_until_every_vertebra_was_looked_at(sessio
     proposed = marked("rest/frontal").model_copy(update={"unseen": ("T1", "L5")})
     session.save(draft(rest__frontal=proposed), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.draft.json"}
-    assert "rest/frontal: 2 of 17 vertebrae are proposed and not looked at yet" in session.missing(session.marks)
+    assert "rest/frontal: 2 of 17 vertebrae are proposed and not looked at yet" in session.judge.missing(session.marks)
     assert AnnotationSession(session.subject.folder).marks["rest/frontal"].unseen == ("T1", "L5")
     # What is no longer there needs no look.
     gone = {name: quad for name, quad in proposed.vertebrae.items() if name != "L5"}
@@ -225,30 +225,30 @@ def test_wrong_corners_are_named_and_wait_in_the_draft(session):
     crossed = DraftImage.model_validate_json(json.dumps({"vertebrae": quads}))
     session.save(draft(rest__frontal=crossed), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.draft.json"}
-    (line, *_) = session.missing(session.marks)
+    (line, *_) = session.judge.missing(session.marks)
     assert line.startswith("rest/frontal: ") and "T7" in line
     mirrored = {name: [quad[i] for i in (1, 0, 3, 2)] for name, quad in drawn("rest/frontal").named().items()}
     marks = DraftImage.model_validate_json(json.dumps({"vertebrae": mirrored}))
-    assert "mirrored for this view" in session.judged("rest/frontal", marks).problem
+    assert "mirrored for this view" in session.judge.told("rest/frontal", marks).problem
 
 
 def test_the_angle_is_the_one_that_spinestiff_cobb_reads(session):
     marks = marked("rest/frontal")
-    judged = session.judged("rest/frontal", marks)
+    judged = session.judge.told("rest/frontal", marks)
     session.save(draft(rest__frontal=marks), session.revision)
     (image,) = read_corners(session.annotation_path)
     read = read_cobb(image)
     assert judged.cobb.curves == read.curves and judged.cobb.patient_left == read.patient_left == "right"
     # And the one that the report reads in the patient plane.
-    view = session.view("rest/frontal")
+    view = session.radiographs.view("rest/frontal")
     quads = np.array(list(drawn("rest/frontal").named().values()))
     wanted = cobb_angle(tilts(VERTEBRAE, view.from_pixels(quads), view))
     assert judged.cobb.largest.angle.degrees == pytest.approx(wanted.degrees, abs=1e-9)
     assert (judged.cobb.largest.angle.upper, judged.cobb.largest.angle.lower) == (wanted.upper, wanted.lower)
     assert abs(wanted.degrees) > 20.0 and judged.problem == "" and judged.vertebrae == 17
     # Also while there are too few for a fit, and never in a lateral radiograph.
-    assert session.judged("rest/frontal", marked("rest/frontal", "T3", "T9")).cobb.largest.angle.lower == "T9"
-    assert session.judged("rest/lateral", marked("rest/lateral")).cobb is None
+    assert session.judge.told("rest/frontal", marked("rest/frontal", "T3", "T9")).cobb.largest.angle.lower == "T9"
+    assert session.judge.told("rest/lateral", marked("rest/lateral")).cobb is None
 
 
 def test_the_angle_of_pixels_that_are_not_square_is_that_of_spinestiff_cobb(unannotated):
@@ -260,7 +260,7 @@ def test_the_angle_of_pixels_that_are_not_square_is_that_of_spinestiff_cobb(unan
     session = AnnotationSession(unannotated)
     session.save(whole(), session.revision)
     read = rest_reading(read_subject(unannotated)).largest
-    shown = session.judged("rest/frontal", marked("rest/frontal")).cobb.largest
+    shown = session.judge.told("rest/frontal", marked("rest/frontal")).cobb.largest
     assert shown.angle.degrees == pytest.approx(read.angle.degrees, abs=1e-9)
     assert (shown.angle.upper, shown.angle.lower) == (read.angle.upper, read.angle.lower)
     assert shown.sd_deg == pytest.approx(read.sd_deg, rel=1e-6)
@@ -277,22 +277,22 @@ def test_a_radiograph_that_stands_on_its_head_can_be_complete(unannotated):
     quads = {name: [[x, last - y] for x, y in quad] for name, quad in drawn("rest/frontal").named().items()}
     turned = DraftImage.model_validate({"vertebrae": quads})
     session = AnnotationSession(unannotated)
-    judged = session.judged("rest/frontal", turned)
+    judged = session.judge.told("rest/frontal", turned)
     assert (judged.vertebrae, judged.problem, judged.cobb) == (17, "", None)
     session.save(Draft(schema_version=1, images={**whole().images, "rest/frontal": turned}), session.revision)
-    assert session.missing(session.marks) == []
+    assert session.judge.missing(session.marks) == []
     subject = read_subject(unannotated)
     assert len(image_corners(subject, "rest/frontal", read_rest(subject, "frontal").view)) == 17
     with pytest.raises(SubjectError, match="stands on its head"):
         exported(session, "csv")
     # What is wrong with it is told as of any other.
-    upside = session.judged("rest/frontal", marked("rest/frontal"))
+    upside = session.judge.told("rest/frontal", marked("rest/frontal"))
     assert "the superior corners lie below" in upside.problem
 
 
 def test_points_that_do_not_belong_there_are_said_to(session):
     supports = marked("rest/frontal").model_copy(update={"supports": {"pelvis": ((1.0, 2.0),)}})
-    assert "supports" in session.judged("rest/frontal", supports).problem
+    assert "supports" in session.judge.told("rest/frontal", supports).problem
 
 
 def test_a_later_frame_is_annotated_by_one_vertebra(session):
@@ -318,10 +318,10 @@ def test_pedicles_alone_annotate_a_later_frame_and_are_what_tracking_reads(sessi
     pairs = pedicles_of("push/a/2", "T8", "T9")
     pedicles = DraftImage(pedicles=pairs)
     session.save(Draft(schema_version=1, images={**whole().images, "push/a/2": pedicles}), session.revision)
-    assert on_disk(session) == {"subject.json", "annotation.json"} and session.missing(session.marks) == []
+    assert on_disk(session) == {"subject.json", "annotation.json"} and session.judge.missing(session.marks) == []
     subject = read_subject(session.subject.folder)
     push = subject.push("a")
-    view = session.view("push/a")
+    view = session.radiographs.view("push/a")
     (marked,) = marked_pedicles(subject, push, view)
     assert (marked.frame, marked.vertebrae) == (2, ("T8", "T9"))
     np.testing.assert_allclose(marked.centres_px, list(pairs.values()), atol=1e-3)
@@ -335,7 +335,7 @@ def test_a_pedicle_that_is_only_guessed_waits_in_the_draft(session):
     guessed = marked("rest/frontal").model_copy(update={"pedicles": pairs, "guessed": {"T9": 1}})
     session.save(draft(rest__frontal=guessed), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.draft.json"}
-    assert "rest/frontal: one pedicle of T9 is only guessed yet" in " ".join(session.missing(session.marks))
+    assert "rest/frontal: one pedicle of T9 is only guessed yet" in " ".join(session.judge.missing(session.marks))
     assert AnnotationSession(session.subject.folder).marks["rest/frontal"].guessed == {"T9": 1}
     # A guess of what is no longer there needs no look.
     gone = guessed.model_copy(update={"pedicles": pedicles_of("rest/frontal", "T8")})
@@ -351,14 +351,14 @@ def test_pedicles_that_are_swapped_or_outside_are_said_to_be_before_a_fit_reads_
         ((left, far), "pedicles.T9: found a pedicle"),
     ):
         marks = marked("push/a").model_copy(update={"pedicles": {"T9": pair}})
-        assert session.judged("push/a", marks).problem.startswith(why)
+        assert session.judge.told("push/a", marks).problem.startswith(why)
 
 
 def test_a_radiograph_that_can_not_be_read_keeps_its_annotation(session):
     session.save(whole(), session.revision)
     (session.subject.folder / "rest/lateral.dcm").write_bytes(b"no DICOM")
     session = AnnotationSession(session.subject.folder)
-    assert any(line.startswith("rest/lateral: ") for line in session.missing(session.marks))
+    assert any(line.startswith("rest/lateral: ") for line in session.judge.missing(session.marks))
     session.save(whole(), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.json"}
     assert set(read_annotation(session.annotation_path).images) == set(ALL)
@@ -384,7 +384,7 @@ def test_a_folder_that_is_not_complete_can_be_annotated_and_says_what_it_lacks(u
     (unannotated / "rest/frontal.dcm").unlink()
     session = AnnotationSession(unannotated)
     assert session.images == ("rest/lateral", "push/a") and session.absent == ("rest/frontal",)
-    lines = session.missing({})
+    lines = session.judge.missing({})
     assert lines[:2] == [
         "rest/frontal: no radiograph in the folder yet",
         "subject.json: not known yet: age, height_cm, pushes[0].level and 1 more",
@@ -396,7 +396,7 @@ def test_a_folder_that_is_not_complete_can_be_annotated_and_says_what_it_lacks(u
     data |= {"age": 13, "height_cm": 157}
     data["pushes"][0] |= {"level": 8, "forces_n": [0, 20, 40]}
     path.write_text(json.dumps(data))
-    assert "subject.json" not in " ".join(AnnotationSession(unannotated).missing({}))
+    assert "subject.json" not in " ".join(AnnotationSession(unannotated).judge.missing({}))
 
 
 def test_a_folder_without_any_radiograph_and_an_outer_one_are_refused(unannotated, tmp_path):
@@ -505,13 +505,13 @@ def slicers(per_pixel, *names):
 @pytest.fixture
 def fine(session, monkeypatch):
     """The session, its radiographs with pixels of 0.2 mm: a vertebra is 30 to 50 of them wide."""
-    real = session.frames
+    real = session.radiographs.frames
 
     def frames(name):
         shown = real(name)[0]
         return [replace(shown, view=replace(shown.view, pixel_spacing=np.array([0.2, 0.2])))]
 
-    monkeypatch.setattr(session, "frames", frames)
+    monkeypatch.setattr(session.radiographs, "frames", frames)
     return session
 
 
@@ -538,8 +538,8 @@ def test_slicers_corners_of_a_unit_that_cant_be_told_are_refused(session, fine, 
 
 
 def test_slicers_millimetres_need_the_spacing_that_slicer_had(fine, monkeypatch):
-    shown = replace(fine.frames("rest/frontal")[0], provenance={"pixel spacing": "given imager_pixel_mm"})
-    monkeypatch.setattr(fine, "frames", lambda name: [shown])
+    shown = replace(fine.radiographs.frames("rest/frontal")[0], provenance={"pixel spacing": "given imager_pixel_mm"})
+    monkeypatch.setattr(fine.radiographs, "frames", lambda name: [shown])
     with pytest.raises(SubjectError, match=r"in mm, but the radiograph has no ImagerPixelSpacing .its pixel: given"):
         imported(fine, "a.mrk.json", slicers(1.0, "T5"), "rest/frontal")
 
@@ -577,13 +577,14 @@ def test_radiographs_from_other_sides_are_offered(unannotated):
         "name": "push/a/1/side", "title": "Push a, frame 1, view side", "kind": "lateral", "forces": [20.0],
         "roles": ("training",),
     }  # fmt: skip
-    assert not np.array_equal(session.frames("push/a/2/side")[0].pixels, session.frames("push/a/1/side")[0].pixels)
-    assert "push/a/1/side: no vertebra marked yet" in session.missing({})
-    assert not any(line.startswith("push/a/2/side") for line in session.missing({}))
+    one, two = (session.radiographs.frames(f"push/a/{frame}/side")[0].pixels for frame in (1, 2))
+    assert not np.array_equal(one, two)
+    assert "push/a/1/side: no vertebra marked yet" in session.judge.missing({})
+    assert not any(line.startswith("push/a/2/side") for line in session.judge.missing({}))
     marks = drawn("rest/lateral").named()
     few, enough = (DraftImage(vertebrae={name: marks[name] for name in list(marks)[:n]}) for n in (2, 3))
-    assert "push/a/1/side: 2 vertebrae, wanted at least 3" in session.missing({"push/a/1/side": few})
-    assert not any("side" in line for line in session.missing({"push/a/1/side": enough}))
+    assert "push/a/1/side: 2 vertebrae, wanted at least 3" in session.judge.missing({"push/a/1/side": few})
+    assert not any("side" in line for line in session.judge.missing({"push/a/1/side": enough}))
     (unannotated / "pushes" / "b.dcm").unlink()
     assert AnnotationSession(unannotated).absent == ("push/a/1/side",)
 
@@ -599,9 +600,9 @@ def test_a_vertebra_that_sets_the_millimetres_can_be_marked_first(unannotated):
         "rest/lateral": {"vertebra": "L1", "width_mm": 30}}}}), encoding="utf-8")  # fmt: skip
     session = AnnotationSession(unannotated)
     session.save(whole(), session.revision)
-    assert session.missing(session.marks) == []
+    assert session.judge.missing(session.marks) == []
     # What the file tells counts where it tells something.
-    spacing = session.frames("rest/lateral")[0].view.pixel_spacing
+    spacing = session.radiographs.frames("rest/lateral")[0].view.pixel_spacing
     np.testing.assert_allclose(spacing, MM * 1500.0 / 1340.0, rtol=1e-6)
     # Now that it is marked, its millimetres are those of the vertebra.
     subject = read_subject(unannotated)
@@ -621,6 +622,6 @@ def test_such_a_picture_may_have_pixels_that_are_not_square(unannotated):
     (unannotated / "subject.json").write_text(
         json.dumps(read_json(unannotated / "subject.json") | {"xray": {"scale": scale}}), encoding="utf-8"
     )
-    (frame,) = AnnotationSession(unannotated).frames("rest/frontal")
+    (frame,) = AnnotationSession(unannotated).radiographs.frames("rest/frontal")
     across, down = frame.view.pixel_spacing
     np.testing.assert_allclose(down / across, 1.2, rtol=1e-6)

@@ -144,13 +144,13 @@ def test_a_page_that_shows_the_picture_before_saves_nothing(served, root, tmp_pa
 
 def test_an_annotation_that_is_open_elsewhere_notices_the_new_picture(root, served, tmp_path):
     session = AnnotationSession(root / "girl")
-    before, old = session.revision, np.array(session.frames("rest/frontal")[0].pixels)
+    before, old = session.revision, np.array(session.radiographs.frames("rest/frontal")[0].pixels)
     replaced(served, wish(served, tmp_path)[0])
     with pytest.raises(ChangedElsewhere, match="was replaced meanwhile"):
         session.save(Draft(schema_version=1, images={}), before)
     session.reload()
     assert session.revision != before
-    new = session.frames("rest/frontal")[0].pixels
+    new = session.radiographs.frames("rest/frontal")[0].pixels
     assert new.shape != old.shape or not np.array_equal(new, old)
 
 

@@ -11,7 +11,9 @@ from typing import Literal
 import numpy as np
 
 from spinestiff.annotate.draft import DraftImage
-from spinestiff.annotate.session import AnnotationSession, first_on
+from spinestiff.annotate.judging import as_seen
+from spinestiff.annotate.radiographs import first_on
+from spinestiff.annotate.session import AnnotationSession
 from spinestiff.arrays import Floats
 from spinestiff.curves.corner_files import ImageCorners, UnreadableImage, read_corner_file, write_corners
 from spinestiff.curves.corner_markups import UNIT_KEY
@@ -32,7 +34,9 @@ FILES: Mapping[Form, str] = {"csv": "corners.csv", "slicer": "corners.mrk.json"}
 
 def exported(session: AnnotationSession, form: Form) -> bytes:
     """All marked vertebrae as a file. Raises SubjectError where nothing is marked."""
-    images = [session.seen(name, marks) for name, marks in session.marks.items() if marks.vertebrae]
+    images = [
+        as_seen(session.radiographs.view(name), name, marks) for name, marks in session.marks.items() if marks.vertebrae
+    ]
     if not images:
         raise SubjectError("no vertebra is marked yet; there is nothing to export")
     with TemporaryDirectory() as folder:
@@ -74,9 +78,9 @@ def imported(
             continue
         name = shown if len(found.images) == 1 and not _known(session, image.image) else image.image
         check_image_name(session.subject, name)
-        pixels, words = in_pixels(image, session.frames(name)[0])
+        pixels, words = in_pixels(image, session.radiographs.frames(name)[0])
         said += words
-        quads = replace(pixels, first_on=first_on(session.view(name))).annotation_quads()
+        quads = replace(pixels, first_on=first_on(session.radiographs.view(name))).annotation_quads()
         before = session.marks.get(name, DraftImage())
         vertebrae = {level: tuple(map(tuple, quad)) for level, quad in zip(image.levels, quads.tolist())}
         marks[name] = DraftImage.model_validate({**before.model_dump(), "vertebrae": vertebrae})

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from threading import Lock, Thread
 from typing import Any, Literal
 
-from spinestiff.annotate.session import AnnotationSession, image_of
+from spinestiff.annotate.radiographs import image_of
+from spinestiff.annotate.session import AnnotationSession
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.radiograph import Radiograph
@@ -86,15 +87,15 @@ class Follower:
         """
         if not image.startswith("push/"):
             raise SubjectError(f"{image} is no push; there is nothing to track")
-        frames = self.session.frames(image)
+        frames = self.session.radiographs.frames(image)
         subject = self.session.annotated()
         push = subject.push(image.removeprefix("push/"))
         if image not in _starts(subject, image):
-            lines = self.session.missing(self.session.marks)
+            lines = self.session.judge.missing(self.session.marks)
             why = next((line.removeprefix(f"{image}: ") for line in lines if line.startswith(f"{image}: ")), "no marks")
             name = sentence(push_named(push.id))
             raise SubjectError(f"{name} can't be tracked before its first frame is complete: {why}")
-        annotated = push_corners(subject, push, self.session.view(image))
+        annotated = push_corners(subject, push, self.session.radiographs.view(image))
         with self._lock:
             number = self._runs[image].number + 1 if image in self._runs else 1
             running = Following("running", 0, len(frames))
@@ -150,7 +151,7 @@ def _starts(subject: Subject, image: str) -> Mapping[str, object]:
 
 def following_record(session: AnnotationSession, image: str, found: Following) -> dict[str, Any]:
     """As JSON, corners in pixels."""
-    view = session.view(image)
+    view = session.radiographs.view(image)
     frames = []
     for corners in found.frames:
         quads = view.pixels(corners.corners).round(2)

@@ -22,7 +22,7 @@ WINDOW = (1.0, 99.8)
 
 def frame_of(session: AnnotationSession, image: str, frame: int) -> Radiograph:
     """A frame of an image, counted from 0. Raises SubjectError if there is none; RadiographError as ``read_push``."""
-    frames = session.frames(image)
+    frames = session.radiographs.frames(image)
     if not 0 <= frame < len(frames):
         raise SubjectError(f"{image} has no frame {frame}; wanted 0 to {len(frames) - 1}")
     return frames[frame]

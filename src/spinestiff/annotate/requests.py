@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from spinestiff.annotate.draft import Corners, Draft, DraftImage, Points
-from spinestiff.annotate.session import Judged
+from spinestiff.annotate.judging import Judged
 from spinestiff.curves.cobb import REGIONS, CobbReading, Curve
 from spinestiff.loopback.asking import Sent
 from spinestiff.subject.records import VertebraName

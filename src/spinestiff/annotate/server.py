@@ -58,12 +58,12 @@ def application(session: AnnotationSession) -> FastAPI:
     def save(body: Body) -> dict[str, Any]:
         asked = sent(body, Save)
         revision = session.save(asked.draft, asked.revision)
-        return {"revision": revision, "missing": session.missing(session.marks)}
+        return {"revision": revision, "missing": session.judge.missing(session.marks)}
 
     @app.post("/api/judge")
     def judge(body: Body) -> dict[str, Any]:
         asked = sent(body, Judge)
-        return judged_record(session.judged(asked.image, asked.marks))
+        return judged_record(session.judge.told(asked.image, asked.marks))
 
     @app.post("/api/propose")
     def propose(body: Body) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def session_record(session: AnnotationSession) -> dict[str, Any]:
         "images": images,
         "marks": marks,
         "revision": session.revision,
-        "missing": session.missing(session.marks),
+        "missing": session.judge.missing(session.marks),
     }
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 from fastapi import FastAPI, Response
 from fastapi.concurrency import run_in_threadpool
 
+from spinestiff.annotate.radiographs import pictures_on_disk
 from spinestiff.annotate.server import PAGE, application
-from spinestiff.annotate.session import AnnotationSession, pictures_on_disk
+from spinestiff.annotate.session import AnnotationSession
 from spinestiff.errors import NotThere, SpinestiffError
 from spinestiff.files import file_digest
 from spinestiff.loopback.asking import Told, bare_application
