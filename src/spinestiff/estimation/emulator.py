@@ -24,10 +24,10 @@ from spinestiff.estimation.weighed import Reduced, Weights, reduced
 DIFFERENCE_LENGTHS, SLOPE_NOISES = (1.4, 1.0, 0.7, 0.5), (0.0, 0.1, 1.0, 10.0)
 # Of a difference's derivatives by its own values, in log ratio.
 DIFFERENCE = 1e-3
-# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space;
-# where psi is higher than the estimate's by ``HIGH``, they may be as far as ``FAR_AND_HIGH``. One where it is higher by
-# ``HIGHEST`` tells of nothing that matters, one as near as ``NEAREST`` to another of no more than that.
-FARTHEST_NUISANCES, HIGH, FAR_AND_HIGH, HIGHEST, NEAREST = 0.3, 6.0, 1.0, 200.0, 0.03
+# A place tells psi where phi would gain no more than ``LARGEST_GAIN`` by the most probable nuisances there, or
+# ``GAIN_OF_RISE`` of how much higher than the estimate it is: psi is off by about a tenth of that. One where psi is
+# higher by ``HIGHEST`` tells of nothing that matters, one as near as ``NEAREST`` to another of no more than that.
+LARGEST_GAIN, GAIN_OF_RISE, HIGHEST, NEAREST = 0.25, 0.1, 200.0, 0.03
 _CHUNK = 64
 
 
@@ -46,13 +46,13 @@ def _kept(places: Sequence[Place], weights: Weights, telling: bool) -> list[tupl
 
 def _telling(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:
     """The places that tell of where the estimate may be, the estimate first."""
-    kept, least = places[:1], places[0][1].psi
-    for place, model in places[1:]:
-        far = np.abs(place.point.nuisances - model.nuisances).max(initial=0.0)
-        rise = model.psi - least
-        if far < (FARTHEST_NUISANCES if rise < HIGH else FAR_AND_HIGH) and rise < HIGHEST:
-            kept.append((place, model))
-    return kept
+    least = places[0][1].psi
+    return places[:1] + [one for one in places[1:] if tells(one[1], least) and one[1].psi - least < HIGHEST]
+
+
+def tells(model: Reduced, least: float) -> bool:
+    """Whether a place's nuisances are near enough to the most probable ones to tell psi; ``least``: the estimate's."""
+    return model.gain <= max(LARGEST_GAIN, GAIN_OF_RISE * (model.psi - least))
 
 
 def _apart(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:

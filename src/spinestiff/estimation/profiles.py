@@ -15,7 +15,7 @@ from skimage.measure import find_contours
 
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.emulator import FAR_AND_HIGH, FARTHEST_NUISANCES, HIGH, Emulator, Place
+from spinestiff.estimation.emulator import Emulator, Place, tells
 from spinestiff.estimation.mode import MOST_FACTORISATIONS
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.tracing import Profile, Tracer, profile_kind
@@ -35,8 +35,8 @@ NEAR, NEAR_LOG, FARTHEST_STEP, SAME = 0.15, 0.15, 1.2, 1e-3
 # nuisances were not found once more, from where the emulator has them then.
 HOPELESS = 0.5
 # Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times; by
-# half as much where they are not as near as this share of how near they were.
-MOST_AGAIN, SHRINKING = 3, 0.7
+# half as much where phi is to gain by them more than this share of what it was.
+MOST_AGAIN, SHRINKING = 3, 0.5
 DRAWS, CANDIDATES = 500, 4000
 GRID = 61
 
@@ -289,7 +289,7 @@ def solved_place(
     ------
     EquilibriumError : it has no equilibrium there.
     """
-    matters = reduced(fit.point, fit.slope, fit.weights).psi + HIGH
+    least = reduced(fit.point, fit.slope, fit.weights).psi
     point, tangents = (fit.point, fit.slope) if near is None else (near, None)
     share, before = 1.0, float("inf")
     for _ in range(1 + MOST_AGAIN):
@@ -297,15 +297,12 @@ def solved_place(
         slope = tangents = problem.slope(point)
         problem.trial_set.note(log_ratios, phi(point, fit.weights), point.evaluation, False)
         model = reduced(point, slope, fit.weights)
-        height = model.psi
-        far = np.abs(model.nuisances - point.nuisances).max(initial=0.0)
-        found = far <= (FAR_AND_HIGH if height > matters else FARTHEST_NUISANCES)
-        if found:
+        if found := tells(model, least):
             break
-        if far > SHRINKING * before:
+        if model.gain > SHRINKING * before:
             share *= 0.5
-        nuisances, before = point.nuisances + share * (model.nuisances - point.nuisances), far
-    return Place(point, slope.light), height, bool(found)
+        nuisances, before = point.nuisances + share * (model.nuisances - point.nuisances), model.gain
+    return Place(point, slope.light), model.psi, found
 
 
 def _region(emulator: Emulator, best: Floats, low: Floats, high: Floats) -> Floats | None:

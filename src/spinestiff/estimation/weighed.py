@@ -354,6 +354,7 @@ class Reduced(ShortRepr):
     values : (n + M,). ratios : (n + M, P).
     nuisances, follow : the most probable ones (M,) and their change per step (M, P).
     log_precision : half the log determinant of their precision (M, M).
+    gain : by how much phi is less at the most probable nuisances than at the point's.
     """
 
     values: Floats
@@ -361,6 +362,7 @@ class Reduced(ShortRepr):
     nuisances: Floats
     follow: Floats
     log_precision: float
+    gain: float
 
     @property
     def psi(self) -> float:
@@ -380,7 +382,9 @@ def reduced(point: WeighedPoint, slope: WeighedSlope, weights: Weights) -> Reduc
     solved = np.linalg.solve(triangle, q.T @ others)
     left = others - stacked @ solved
     log_precision = float(np.sum(np.log(np.abs(np.diag(triangle)))))
-    return Reduced(left[:, -1], left[:, :-1], -solved[:, -1], -solved[:, :-1], log_precision)
+    here = np.concatenate([both[:, -1] + both[:, :m] @ point.nuisances, point.nuisances])
+    gain = 0.5 * float(here @ here - left[:, -1] @ left[:, -1])
+    return Reduced(left[:, -1], left[:, :-1], -solved[:, -1], -solved[:, :-1], log_precision, gain)
 
 
 @dataclass(frozen=True, repr=False)
