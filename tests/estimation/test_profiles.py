@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation import profiles
-from spinestiff.estimation.emulator import FARTHEST_NUISANCES, Place
+from spinestiff.estimation.emulator import GAIN_OF_RISE, LARGEST_GAIN, Place, tells
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
@@ -99,8 +99,59 @@ def test_nuisances_that_swing_are_brought_to_rest() -> None:
     place, height, found = solved_place(bent, fit, np.array([0.3]), np.zeros(1))
     assert found
     model = reduced(place.point, place.slope, fit.weights)
-    assert abs(model.nuisances[0] - place.point.nuisances[0]) < FARTHEST_NUISANCES
+    assert model.gain < LARGEST_GAIN
     assert height == pytest.approx(model.psi)
+    assert np.abs(np.diff([0.0, *bent.solved[1:]])).max() <= profiles.LONGEST_STEP + 1e-12
+
+
+def test_a_place_tells_psi_where_phi_would_gain_little_there() -> None:
+    bent = Bent()
+    start = bent.solve(np.zeros(1), np.zeros(1))
+    weights = Weights(np.eye(1), 1.0, np.ones(1))
+    model = reduced(start, bent.slope(start), weights)
+    # Of the linear model: the residual r + c d and the nuisance d itself, at its least over d.
+    r, c = float(start.values[0]), float(bent.slope(start).nuisances[0, 0])
+    least = 0.5 * r**2 / (1.0 + c**2)
+    assert model.gain == pytest.approx(phi(start, weights) - least)
+    assert tells(replace(model, gain=LARGEST_GAIN), model.psi)
+    assert not tells(replace(model, gain=1.01 * LARGEST_GAIN), model.psi)
+    # Far from the estimate psi need not be known as well.
+    assert tells(replace(model, gain=3.0), model.psi - 3.0 / GAIN_OF_RISE)
+    assert not tells(replace(model, gain=3.0), model.psi - 2.9 / GAIN_OF_RISE)
+
+
+class Creased(Bent):
+    """Beyond a crease residuals jump, so that what derivatives before it promise is not there; beyond another one there
+    is no equilibrium."""
+
+    crease, end = 0.4, 0.5
+
+    def solve(self, log_ratios, nuisances, near=None, slope=None, **limits):
+        if nuisances[0] > self.end:
+            self.solved.append(float(nuisances[0]))
+            raise EquilibriumError("none")
+        point = super().solve(log_ratios, nuisances)
+        return replace(point, values=point.values - 10.0 * (nuisances[0] > self.crease))
+
+
+@pytest.mark.parametrize("end", [0.5, 2.0])
+def test_where_phi_rises_nuisances_are_looked_for_nearer_to_the_best(end) -> None:
+    creased = Creased()
+    creased.end = end
+    weights = Weights(np.eye(1), 1.0, np.ones(1))
+    start = Bent().solve(np.zeros(1), np.ones(1))
+    fit = WeighedFit(start, creased.slope(start), weights, FitStatus.CONVERGED, ())
+    place, height, found = solved_place(creased, fit, np.array([0.3]), np.zeros(1))
+    tried = creased.solved
+    assert tried[0] == 0.0 and tried[1] == pytest.approx(profiles.LONGEST_STEP)
+    assert tried[2] == pytest.approx(profiles.SHORTENED * profiles.LONGEST_STEP)
+    lowest = min(
+        (n for n in tried if n <= creased.crease), key=lambda n: (5.0 * np.arctan(2.0 * (n - 1.0))) ** 2 + n**2
+    )
+    assert place.point.nuisances[0] == lowest
+    assert found == tells(reduced(place.point, place.slope, weights), reduced(start, fit.slope, weights).psi)
+    assert len(tried) == 1 + profiles.MOST_AGAIN and not found
+    assert height == pytest.approx(reduced(place.point, place.slope, weights).psi)
 
 
 @pytest.mark.parametrize(("second", "starts_from"), [(0.25, "second"), (0.1, "estimate"), (2.0, "estimate")])

@@ -27,7 +27,7 @@ DIFFERENCE = 1e-3
 # A place tells psi where phi would gain no more than ``LARGEST_GAIN`` by the most probable nuisances there, or
 # ``GAIN_OF_RISE`` of how much higher than the estimate it is: psi is off by about a tenth of that. One where psi is
 # higher by ``HIGHEST`` tells of nothing that matters, one as near as ``NEAREST`` to another of no more than that.
-LARGEST_GAIN, GAIN_OF_RISE, HIGHEST, NEAREST = 0.25, 0.1, 200.0, 0.03
+LARGEST_GAIN, GAIN_OF_RISE, HIGHEST, NEAREST = 0.3, 0.1, 200.0, 0.03
 _CHUNK = 64
 
 

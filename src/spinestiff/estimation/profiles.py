@@ -34,9 +34,9 @@ NEAR, NEAR_LOG, FARTHEST_STEP, SAME = 0.15, 0.15, 1.2, 1e-3
 # So many standard deviations around a place without equilibrium nothing is tried again; around one whose most probable
 # nuisances were not found once more, from where the emulator has them then.
 HOPELESS = 0.5
-# Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times; by
-# half as much where phi is to gain by them more than this share of what it was.
-MOST_AGAIN, SHRINKING = 3, 0.5
+# Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times, by
+# steps of at most so many prior standard deviations, from the best of them; where phi rises, by so much less.
+MOST_AGAIN, LONGEST_STEP, SHORTENED = 3, 0.6, 0.4
 DRAWS, CANDIDATES = 500, 4000
 GRID = 61
 
@@ -290,19 +290,29 @@ def solved_place(
     EquilibriumError : it has no equilibrium there.
     """
     least = reduced(fit.point, fit.slope, fit.weights).psi
-    point, tangents = (fit.point, fit.slope) if near is None else (near, None)
-    share, before = 1.0, float("inf")
-    for _ in range(1 + MOST_AGAIN):
-        point = problem.solve(log_ratios, nuisances, point, tangents, most_factorisations=MOST_FACTORISATIONS)
-        slope = tangents = problem.slope(point)
-        problem.trial_set.note(log_ratios, phi(point, fit.weights), point.evaluation, False)
-        model = reduced(point, slope, fit.weights)
-        if found := tells(model, least):
-            break
-        if model.gain > SHRINKING * before:
-            share *= 0.5
-        nuisances, before = point.nuisances + share * (model.nuisances - point.nuisances), model.gain
-    return Place(point, slope.light), model.psi, found
+    point, slope = (fit.point, fit.slope) if near is None else (near, None)
+    lowest, longest = np.inf, LONGEST_STEP
+    for number in range(1 + MOST_AGAIN):
+        try:
+            tried = problem.solve(log_ratios, nuisances, point, slope, most_factorisations=MOST_FACTORISATIONS)
+            height = phi(tried, fit.weights)
+            problem.trial_set.note(log_ratios, height, tried.evaluation, False)
+        except EquilibriumError:
+            if not number:
+                raise
+            problem.trial_set.note(log_ratios, float("nan"), None, False)
+            height = np.inf
+        if not number or height <= lowest:
+            point, slope, lowest = tried, problem.slope(tried), height
+            model = reduced(point, slope, fit.weights)
+            if tells(model, least):
+                return Place(point, slope.light), model.psi, True
+        else:
+            longest *= SHORTENED
+        step = model.nuisances - point.nuisances
+        nuisances = point.nuisances + min(1.0, longest / float(np.abs(step).max())) * step
+    assert slope is not None
+    return Place(point, slope.light), model.psi, False
 
 
 def _region(emulator: Emulator, best: Floats, low: Floats, high: Floats) -> Floats | None:
