@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation import profiles
-from spinestiff.estimation.emulator import GAIN_OF_RISE, LARGEST_GAIN, Place, tells
+from spinestiff.estimation.emulator import FARTHEST_NUISANCES, HIGH, LITTLE_GAIN, Place, tells
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
@@ -99,7 +99,7 @@ def test_nuisances_that_swing_are_brought_to_rest() -> None:
     place, height, found = solved_place(bent, fit, np.array([0.3]), np.zeros(1))
     assert found
     model = reduced(place.point, place.slope, fit.weights)
-    assert model.gain < LARGEST_GAIN
+    assert tells(place.point, model, reduced(start, fit.slope, fit.weights).psi)
     assert height == pytest.approx(model.psi)
     assert np.abs(np.diff([0.0, *bent.solved[1:]])).max() <= profiles.LONGEST_STEP + 1e-12
 
@@ -113,11 +113,12 @@ def test_a_place_tells_psi_where_phi_would_gain_little_there() -> None:
     r, c = float(start.values[0]), float(bent.slope(start).nuisances[0, 0])
     least = 0.5 * r**2 / (1.0 + c**2)
     assert model.gain == pytest.approx(phi(start, weights) - least)
-    assert tells(replace(model, gain=LARGEST_GAIN), model.psi)
-    assert not tells(replace(model, gain=1.01 * LARGEST_GAIN), model.psi)
-    # Far from the estimate psi need not be known as well.
-    assert tells(replace(model, gain=3.0), model.psi - 3.0 / GAIN_OF_RISE)
-    assert not tells(replace(model, gain=3.0), model.psi - 2.9 / GAIN_OF_RISE)
+    there = replace(start, nuisances=model.nuisances + FARTHEST_NUISANCES[1])
+    for high, least in ((0, model.psi - 0.99 * HIGH), (1, model.psi - 1.01 * HIGH)):
+        near = replace(start, nuisances=model.nuisances + 0.99 * FARTHEST_NUISANCES[high])
+        assert tells(near, replace(model, gain=10.0), least)
+        assert tells(there, replace(model, gain=0.99 * LITTLE_GAIN[high]), least)
+        assert not tells(there, replace(model, gain=1.01 * LITTLE_GAIN[high]), least)
 
 
 class Creased(Bent):
@@ -149,7 +150,6 @@ def test_where_phi_rises_nuisances_are_looked_for_nearer_to_the_best(end) -> Non
         (n for n in tried if n <= creased.crease), key=lambda n: (5.0 * np.arctan(2.0 * (n - 1.0))) ** 2 + n**2
     )
     assert place.point.nuisances[0] == lowest
-    assert found == tells(reduced(place.point, place.slope, weights), reduced(start, fit.slope, weights).psi)
     assert len(tried) == 1 + profiles.MOST_AGAIN and not found
     assert height == pytest.approx(reduced(place.point, place.slope, weights).psi)
 

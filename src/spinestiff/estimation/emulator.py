@@ -24,10 +24,11 @@ from spinestiff.estimation.weighed import Reduced, Weights, reduced
 DIFFERENCE_LENGTHS, SLOPE_NOISES = (1.4, 1.0, 0.7, 0.5), (0.0, 0.1, 1.0, 10.0)
 # Of a difference's derivatives by its own values, in log ratio.
 DIFFERENCE = 1e-3
-# A place tells psi where phi would gain no more than ``LARGEST_GAIN`` by the most probable nuisances there, or
-# ``GAIN_OF_RISE`` of how much higher than the estimate it is: psi is off by about a tenth of that. One where psi is
-# higher by ``HIGHEST`` tells of nothing that matters, one as near as ``NEAREST`` to another of no more than that.
-LARGEST_GAIN, GAIN_OF_RISE, HIGHEST, NEAREST = 0.3, 0.1, 200.0, 0.03
+# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space,
+# unless phi would gain no more than so much by those; where psi is higher than the estimate's by ``HIGH``, the second
+# numbers count. One where it is higher by ``HIGHEST`` tells of nothing that matters, one as near as ``NEAREST`` to
+# another of no more than that.
+FARTHEST_NUISANCES, LITTLE_GAIN, HIGH, HIGHEST, NEAREST = (0.3, 1.0), (0.2, 1.0), 6.0, 200.0, 0.03
 _CHUNK = 64
 
 
@@ -47,12 +48,18 @@ def _kept(places: Sequence[Place], weights: Weights, telling: bool) -> list[tupl
 def _telling(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:
     """The places that tell of where the estimate may be, the estimate first."""
     least = places[0][1].psi
-    return places[:1] + [one for one in places[1:] if tells(one[1], least) and one[1].psi - least < HIGHEST]
+    others = [
+        (place, model)
+        for place, model in places[1:]
+        if model.psi - least < HIGHEST and tells(place.point, model, least)
+    ]
+    return [places[0], *others]
 
 
-def tells(model: Reduced, least: float) -> bool:
+def tells(point: WeighedPoint, model: Reduced, least: float) -> bool:
     """Whether a place's nuisances are near enough to the most probable ones to tell psi; ``least``: the estimate's."""
-    return model.gain <= max(LARGEST_GAIN, GAIN_OF_RISE * (model.psi - least))
+    far, high = np.abs(point.nuisances - model.nuisances).max(initial=0.0), int(model.psi - least >= HIGH)
+    return bool(far < FARTHEST_NUISANCES[high] or model.gain < LITTLE_GAIN[high])
 
 
 def _apart(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:

@@ -305,7 +305,7 @@ def solved_place(
         if not number or height <= lowest:
             point, slope, lowest = tried, problem.slope(tried), height
             model = reduced(point, slope, fit.weights)
-            if tells(model, least):
+            if tells(point, model, least):
                 return Place(point, slope.light), model.psi, True
         else:
             longest *= SHORTENED
