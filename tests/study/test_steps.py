@@ -60,11 +60,15 @@ def solved(monkeypatch):
     """Every equilibrium that is solved while the fixture's user runs: the load's label and the ratios."""
     asked = []
 
-    def solve(self, load, ratios=None, *args, real=EquilibriumProblem.solve, **kwargs):
-        asked.append((load.label, ratios))
-        return real(self, load, ratios, *args, **kwargs)
+    def counted(real):
+        def solve(self, load, ratios=None, *args, **kwargs):
+            asked.append((load.label, ratios))
+            return real(self, load, ratios, *args, **kwargs)
 
-    monkeypatch.setattr(EquilibriumProblem, "solve", solve)
+        return solve
+
+    for name in ("solve", "solve_linearised"):
+        monkeypatch.setattr(EquilibriumProblem, name, counted(getattr(EquilibriumProblem, name)))
     return asked
 
 
