@@ -50,7 +50,7 @@ LONGEST = 170
 """Characters of an item; of a longer one the engineer's part has the whole."""
 MEANINGS: dict[Determination, str] = {
     "determined": "known within a factor of 2 either way, on average",
-    "weakly determined": "known within a factor of 10 either way, on average, or from one side",
+    "weakly determined": "known within a factor of 10 either way, on average, or closer but open at one end",
     "not determined": "the radiographs leave it open",
 }
 """What the badge of one stiffness says."""

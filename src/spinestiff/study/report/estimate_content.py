@@ -65,7 +65,7 @@ PLAIN_TITLES = {
 }
 DETERMINATIONS: dict[Determination, str] = {
     "determined": "The radiographs determine every ratio within a factor of 2 either way, on average of both (95 %).",
-    "weakly determined": "At least one ratio is known only within a factor of 10 either way, or from one side.",
+    "weakly determined": "At least one ratio is known only within a factor of 10 either way, or has an open end.",
     "not determined": "The radiographs do not determine at least one ratio; its interval says what they allow.",
 }
 NO_INTERVALS_TEXT = (
