@@ -148,6 +148,7 @@ def test_a_noise_in_pixels_is_none_of_corners_in_millimetres(cobb, tmp_path):
         (("--noise-px", "nan"), "--noise-px nan: wanted"),
         (("--patient-left", "up"), "--patient-left up: wanted left or right"),
         (("--picture", "out.svg"), "wanted a name that ends in .png"),
+        (("--picture", "same.png", "--csv", "./same.png"), "--picture and --csv are both same.png; name two files"),
     ],
 )
 def test_bad_options_are_one_line(cobb, corners, monkeypatch, arguments, words):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import shutil
+import sys
+import threading
 
 import pytest
 
@@ -159,6 +161,31 @@ def test_the_run_of_a_participant_is_logged_beside_its_results_and_names_nobody(
 def test_settings_that_there_are_not_are_refused_before_anything_runs():
     with pytest.raises(SubjectError, match="unknown method"):
         order_of({"method": "best"})
+
+
+def test_news_may_come_while_the_table_is_drawn():
+    shown, drawn, failed = Shown(20_000, 2, lambda line: None), threading.Event(), []
+    shown.expect(60.0)
+
+    def draw():
+        try:
+            while not drawn.is_set():
+                shown.headline(), shown.rows()
+        except (RuntimeError, KeyError) as error:
+            failed.append(error)
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    thread = threading.Thread(target=draw)
+    try:
+        thread.start()
+        for number in range(20_000):
+            shown.news(News(f"s{number}", "running" if number % 100 == 0 else "waiting"))
+    finally:
+        drawn.set()
+        thread.join()
+        sys.setswitchinterval(before)
+    assert failed == []
 
 
 def test_the_time_left_is_that_of_who_is_left():

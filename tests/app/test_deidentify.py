@@ -195,6 +195,16 @@ def test_a_folder_without_radiographs_is_no_success(spinestiff, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("place", ["IN", "OUT"])
+def test_a_place_that_cannot_be_looked_at_is_not_named(spinestiff, series, tmp_path, place):
+    name = f"{CANARY}_" + "x" * 300
+    source, out = (tmp_path / name, tmp_path / "out") if place == "IN" else (series, tmp_path / name)
+    ran = spinestiff("deidentify", source, out)
+    assert ran.status == 2 and ran.err.count("\n") == 1
+    assert "IN or OUT, or something in them, can't be read" in ran.err
+    assert not traces(ran.out, ran.err)
+
+
 def test_nothing_is_overwritten(spinestiff, series, tmp_path):
     out = tmp_path / "out"
     out.mkdir()

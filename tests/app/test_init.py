@@ -583,6 +583,14 @@ def test_columns_and_units_of_a_log_are_confirmed_before_any_other_question(logg
     assert said == [CONFIRM]
 
 
+def test_an_empty_line_confirms_and_the_end_of_the_input_does_not():
+    def ended(question):
+        raise EOFError
+
+    assert questions.confirmed("is that right", lambda question: " ")
+    assert not questions.confirmed("is that right", ended)
+
+
 @pytest.mark.parametrize(
     ("log", "options", "words"),
     [

@@ -410,7 +410,7 @@ def test_ends_that_were_not_solved_are_told(column, clean, whole, monkeypatch) -
     monkeypatch.setattr(profiles, "MOST_ROUNDS", 0)
     fit = fit_stiffness(column.problem, clean, bounds=BOUNDS, extent="intervals")
     assert not fit.likely.settled
-    assert any("an end of the intervals is interpolated" in text for text in fit.warnings)
+    assert any("an end of the intervals, or a place between, is interpolated" in text for text in fit.warnings)
     assert not any("interpolated" in text for text in whole.warnings)
 
 
@@ -471,7 +471,7 @@ def test_eqs_8_10_on_the_template_torso() -> None:
 
 def test_a_place_as_likely_as_the_estimate_is_told() -> None:
     where = WeighedPoint(np.zeros(1), SimpleNamespace(log_ratios=np.log([0.5, 0.02])), np.zeros(1))
-    likely = SimpleNamespace(settled=True, likelier=where)
+    likely = SimpleNamespace(effective=500.0, settled=True, likelier=where)
     ended = SimpleNamespace(short=0.0, status=FitStatus.CONVERGED)
     (warning,) = unsettled_warnings(ended, likely, ("lateral_bending", "tissue"))
     assert warning.startswith("lateral_bending 0.5, tissue 0.02 explains the radiographs about as well")
@@ -479,12 +479,18 @@ def test_a_place_as_likely_as_the_estimate_is_told() -> None:
     assert unsettled_warnings(ended, likely, ("lateral_bending", "tissue")) == []
 
 
+def test_draws_that_hang_on_few_places_are_told() -> None:
+    likely = SimpleNamespace(effective=40.2, settled=True, likelier=None)
+    (warning,) = unsettled_warnings(SimpleNamespace(short=0.0, status=FitStatus.CONVERGED), likely, ("tissue",))
+    assert warning == "the draws are worth no more than 40 independent ones; take the intervals"
+
+
 def test_an_estimate_beside_a_jump_is_told_with_how_near_it_is() -> None:
     def ended(short, status=FitStatus.CONVERGED):
         return SimpleNamespace(short=short, status=status)
 
     # With intervals or without any.
-    for likely in (SimpleNamespace(settled=True, likelier=None), None):
+    for likely in (SimpleNamespace(effective=500.0, settled=True, likelier=None), None):
         (warning,) = unsettled_warnings(ended(0.09), likely, ("tissue",))
         assert "jumps between equilibria" in warning
         assert warning.endswith("settled to 0.09 standard deviations")

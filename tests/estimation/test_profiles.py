@@ -16,6 +16,7 @@ from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
     CLOSE_ENOUGH,
+    FARTHEST_STEP,
     WIDTH_FACTOR,
     _likelier,
     _solve_ends,
@@ -227,10 +228,23 @@ def test_no_place_is_solved_twice() -> None:
         log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.ones(1), np.eye(1)), psi=lambda where: np.zeros(1)
     )
     before = len(bent.solved)
-    _solve_ends(bent, fit, emulator, places, [np.array([0.3])], np.eye(1), [], CLOSE_ENOUGH)
+    # It counts as an end that is not known.
+    assert _solve_ends(bent, fit, emulator, places, [np.array([0.3])], np.eye(1), [], CLOSE_ENOUGH) == (False, [0])
     assert len(bent.solved) == before
     _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1), [], CLOSE_ENOUGH)
     assert len(bent.solved) > before
+
+
+def test_a_far_end_that_is_given_up_wants_no_further_round() -> None:
+    """The way to it was tried, twice, and has no equilibrium."""
+    bent = Bent()
+    start = bent.solve(np.zeros(1), np.ones(1))
+    fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
+    emulator = SimpleNamespace(log_ratios=np.zeros((1, 1)))
+    failed, before = [np.array([FARTHEST_STEP])] * 2, len(bent.solved)
+    places = [Place(start, bent.slope(start))]
+    assert _solve_ends(bent, fit, emulator, places, [np.array([3.0])], np.eye(1), failed, CLOSE_ENOUGH) == (False, [0])
+    assert len(bent.solved) == before
 
 
 def test_ends_lie_about_two_standard_deviations_apart(found, likely) -> None:

@@ -15,12 +15,14 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.curves.changes import change_between
 from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.estimation.evaluation import FOLDED
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.places import SupportPlace
 from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.study import predictions
 from spinestiff.study.predictions import (
     REST,
     STATES_SCHEMA,
@@ -46,11 +48,15 @@ class Noting:
     """Stands in for an equilibrium problem: notes what it is asked, and moves all bones by a millimetre per newton."""
 
     def __init__(self, torso, fails=()):
-        self.torso, self.fails, self.asked = torso, fails, []
+        self.torso, self.fails, self.asked, self.turns = torso, fails, [], []
         self.supports = three_point_supports(torso, "right")
 
-    def solve_linearised(self, load, model, start):
+    def with_place(self, place):
+        return self
+
+    def solve_linearised(self, load, model, start, largest_turn):
         self.asked.append((round(load.size), model, start))
+        self.turns.append(largest_turn)
         rest = self.torso.rest_pose
         state = TorsoState(rest.bone_positions + load.size, rest.bone_rotations, rest.tissue_positions)
         if (round(load.size), model) in self.fails:
@@ -98,6 +104,8 @@ def test_every_frame_is_solved_once_from_the_least_force_up(torso, rest):
     starts = [start for _, model, start in problem.asked if model is SOFT]
     states = {p.item.force_n: p.states["fit"] for p in found.frames}
     assert starts[0] is None and starts[1].state is states[10.0] and starts[2].state is states[20.0]
+    # A torso that gives way predicts nothing, as it tells the fit nothing.
+    assert problem.turns == [FOLDED] * 6
     assert [p.item.frame for p in found.frames] == [1, 2, 3]
     assert set(found.frames[0].states) == {REST, "default", "fit"}
     assert "push 'main' frame 2: default at 10 N" in lines and len(lines) == 6
@@ -116,6 +124,16 @@ def test_what_is_known_is_not_solved_again(torso, rest):
     again, problem = noting(pushes)
     predict(again, {"fit": Model(SOFT)}, stored(found), quiet)
     assert problem.asked == []
+
+
+def test_supports_out_of_reach_cost_one_prediction_and_not_all(torso, rest):
+    pushes, _ = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
+    lines = []
+    far = Model(SOFT, {"obliquity under pushes from the right": 100.0})
+    assert np.abs(predicted_acts(pushes, pushes.of_role("validation"), far)).max() > 0.5
+    found = predict(pushes, {"default": Model(), "fit": far}, {}, lines.append)
+    assert all(set(p.states) == {REST, "default"} for p in found.frames)
+    assert sum("no prediction by 'fit': supports at an obliquity of" in line for line in lines) == 3
 
 
 def test_other_models_predict_the_held_out_frames_alone(torso, rest):
@@ -260,7 +278,7 @@ def test_default_stiffness_is_pushed_as_the_gauge_says_on_a_level_pelvis(pushed)
 
 
 @pytest.mark.slow
-def test_fitted_supports_stand_beside_and_change_no_prediction(torso, rest):
+def test_fitted_supports_stand_beside_and_change_no_prediction(torso, rest, monkeypatch):
     """A held-out frame whose pelvis turned by 2.5 degrees: its prediction knows nothing of it."""
     forces, roles = (0.0, 20.0, 30.0), ("unused", "training", "validation")
     pushes = make_set(torso, [rest] * 3, forces, roles)
@@ -279,6 +297,10 @@ def test_fitted_supports_stand_beside_and_change_no_prediction(torso, rest):
     )
     assert np.degrees(np.arctan2(turn[1, 0], turn[0, 0])) == pytest.approx(2.5, abs=0.1)
     assert after.rmse(torso, "fitted_supports") < 0.1 < 1.0 < after.rmse(torso, "fit")
+    with monkeypatch.context() as patch:
+        patch.setattr(predictions, "FITTED_ROUNDS", 1)
+        (unsettled,) = with_fitted_supports(alone, Model(SOFT, {"force of main": 0.0})).of_role("validation")
+        assert "fitted_supports" not in unsettled.solved
     level = replace(pushes, known=replace(pushes.known, priors=Priors(obliquity_deg=0.0, frame_obliquity_deg=0.0)))
     (without,) = with_fitted_supports(replace(alone, pushes=level), Model(SOFT)).of_role("validation")
     assert "fitted_supports" not in without.solved

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,6 +41,8 @@ def cobb(
     """
     chosen = _definition(definition)
     side = _side(patient_left)
+    if picture is not None and table is not None and os.path.realpath(picture) == os.path.realpath(table):
+        raise SubjectError(f"--picture and --csv are both {table}; name two files")
     # What is neither is looked for as a folder, unless its name ends as a file's of corners does.
     if path.is_file() or path.suffix.lower() in (".csv", ".json"):
         for out, option in ((picture, "--picture"), (table, "--csv")):

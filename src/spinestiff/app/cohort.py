@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -130,6 +131,8 @@ class Shown:
         self._seconds: list[float] = []
         self._usual: float | None = None
         self._start = time.monotonic()
+        # News come while another thread draws.
+        self._lock = threading.Lock()
 
     def expect(self, usual: float | None) -> None:
         """How long a participant took in earlier runs."""
@@ -141,21 +144,23 @@ class Shown:
 
     def news(self, one: News) -> None:
         """Take what has become of a participant."""
-        before = self._stages.get(one.participant)
-        self._stages[one.participant] = one
-        if one.stage == "running" and (before is None or before.stage != "running"):
-            self._began[one.participant] = time.monotonic()
+        with self._lock:
+            before = self._stages.get(one.participant)
+            self._stages[one.participant] = one
+            if one.stage == "running" and (before is None or before.stage != "running"):
+                self._began[one.participant] = time.monotonic()
+            if one.stage in ("done", "failed", "again"):
+                self._recent = [*self._recent[1 - _RECENT :], one]
+            if one.stage == "done":
+                self._seconds.append(one.seconds)
         if one.stage in ("done", "failed", "again"):
-            self._recent = [*self._recent[1 - _RECENT :], one]
             self._keep(f"{one.participant}: {_words(one)}")
-        if one.stage == "done":
-            self._seconds.append(one.seconds)
         if one.stage == "running" and one.words.startswith("warning"):
             self._keep(f"{one.participant}: {one.words}")
 
     def count_of(self, *stages: str) -> int:
         """How many participants are at one of these stages."""
-        return sum(one.stage in stages for one in self._stages.values())
+        return sum(one.stage in stages for _, one in self._known())
 
     def seconds_left(self) -> float | None:
         """By the mean of those done in this run, else the median of earlier ones; None where nothing tells it."""
@@ -163,9 +168,7 @@ class Shown:
         if usual is None or self.jobs == 0:
             return None
         passed = [
-            min(time.monotonic() - self._began[name], usual)
-            for name, one in self._stages.items()
-            if one.stage == "running"
+            min(time.monotonic() - self._began[name], usual) for name, one in self._known() if one.stage == "running"
         ]
         left = usual * (self.count_of("waiting", "running", "again")) - sum(passed)
         return max(left, 0.0) / self.jobs
@@ -187,10 +190,14 @@ class Shown:
         ended = [(one.participant, one.stage, one.words, duration(one.seconds)) for one in self._recent]
         running = [
             (name, "running", one.words, duration(time.monotonic() - self._began[name]))
-            for name, one in self._stages.items()
+            for name, one in self._known()
             if one.stage == "running"
         ]
         return [*ended, *running]
+
+    def _known(self) -> list[tuple[str, News]]:
+        with self._lock:
+            return list(self._stages.items())
 
 
 def _words(one: News) -> str:

@@ -34,14 +34,18 @@ def deidentify_files(
 
     Raises
     ------
-    RadiographError : OUT isn't a new or empty folder, nothing to read, no DICOM, a key that is none; no radiograph has
-        been written.
+    RadiographError : OUT isn't a new or empty folder, nothing to read or nothing that can be, no DICOM, a key that is
+        none; no radiograph has been written.
     """
     if not out.name:
         raise RadiographError("OUT is no name of a folder; name a new folder")
     beside = out.with_name(out.name + SHEETS)
-    _check_places(source, out, beside, key_file)
-    files = _files(source)
+    try:
+        _check_places(source, out, beside, key_file)
+        files = _files(source)
+    except OSError as problem:
+        # The problem's own words name a file.
+        raise RadiographError(f"IN or OUT, or something in them, can't be read ({trouble(problem)})") from None
     key, is_new = (random_key(), False) if key_file is None else key_of(key_file)
     folders = {folder: number for number, folder in enumerate(dict.fromkeys(file.parent for file in files), 1)}
     refused: dict[str, list[int]] = {}

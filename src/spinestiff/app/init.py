@@ -39,8 +39,8 @@ from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.words import counted, pasted, push_named
 
 SHOWN_ALONE = 3
-MOST_FORCES_SHOWN = 12
 """Files of a folder that are left out for one reason: more share a row."""
+MOST_FORCES_SHOWN = 12
 LEFT_OUT = "left out"
 WORTH_TELLING_N = 3.0
 """What the prior of a force's offset covers at 95 % (``estimation.priors``)."""

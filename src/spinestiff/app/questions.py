@@ -93,14 +93,21 @@ def asked(question: str, read: Callable[[str], T], ask: Callable[[str], str] | N
 
 
 def confirmed(question: str, ask: Callable[[str], str] | None = None) -> bool:
-    """Whether somebody says that it is so; an empty answer says it, too."""
+    """Whether somebody says that it is so; an empty answer says it, too, the end of the input doesn't."""
 
     def read(text: str) -> bool:
         if text.casefold() not in ("y", "yes", "n", "no"):
             raise ValueError("wanted yes or no")
         return text.casefold() in ("y", "yes")
 
-    return asked(f"{question}; yes or no", read, ask) is not False
+    def answer(question: str) -> str:
+        # A whole line that holds nothing is a yes; that there is no line is none.
+        try:
+            return (ask or _terminal)(question).strip() or "yes"
+        except EOFError:
+            return "no"
+
+    return asked(f"{question}; yes or no", read, answer) is True
 
 
 def _terminal(question: str) -> str:

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from spinestiff.arrays import Floats
 from spinestiff.estimation.discrepancy_data import STANCE_MM
-from spinestiff.estimation.emulator import Emulator, Place
+from spinestiff.estimation.emulator import Emulator, Place, by_differences
 from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 
@@ -157,17 +157,10 @@ def prior_changes(
 
 def _changed(name: str, factor: float, emulator: Emulator, fit: WeighedFit, limits: tuple[float, float]) -> PriorChange:
     start, step = fit.point.log_ratios, 1e-2
-    count = len(start)
-    bounds = [limits] * count
-    offsets = step * np.vstack([np.zeros(count), np.eye(count), -np.eye(count)])
-
-    def height(where: Floats) -> tuple[float, Floats]:
-        values = emulator.psi(where + offsets)
-        return float(values[0]), (values[1 : 1 + count] - values[1 + count :]) / (2.0 * step)
-
-    best = minimize(height, start, jac=True, method="L-BFGS-B", bounds=bounds).x
+    height = by_differences(emulator.psi, step)
+    best = minimize(height, start, jac=True, method="L-BFGS-B", bounds=[limits] * len(start)).x
     gradients = [
-        (height(best + step * axis)[1] - height(best - step * axis)[1]) / (2.0 * step) for axis in np.eye(count)
+        (height(best + step * axis)[1] - height(best - step * axis)[1]) / (2.0 * step) for axis in np.eye(len(start))
     ]
     values, axes = np.linalg.eigh(0.5 * (np.array(gradients) + np.array(gradients).T))
     # No ratio is known less well than anywhere within the bounds.

@@ -201,7 +201,7 @@ def relative_covariance(motions: Sequence[Floats]) -> Floats:
 
 
 def pushed_side(load: LoadCase) -> str:
-    """The side of a push, from the way in which it acts."""
+    """The side of a push: its force drives the spine to the other one."""
     return "right" if load.push.total[0] >= 0.0 else "left"
 
 

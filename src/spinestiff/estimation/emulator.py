@@ -8,7 +8,7 @@ the shape, and what phi differs by at the places of the finer one, which changes
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -233,3 +233,14 @@ class Emulator:
             np.concatenate(most),
             np.concatenate(inverses) if covariance else np.zeros(0),
         )
+
+
+def by_differences(function: Callable[[Floats], Floats], step: float) -> Callable[[Floats], tuple[float, Floats]]:
+    """Value and central differences over ``step`` (P,) at one place (P,), of a function of places (S, P)."""
+
+    def both(where: Floats) -> tuple[float, Floats]:
+        count = len(where)
+        values = function(where + step * np.vstack([np.zeros(count), np.eye(count), -np.eye(count)]))
+        return float(values[0]), (values[1 : 1 + count] - values[1 + count :]) / (2.0 * step)
+
+    return both

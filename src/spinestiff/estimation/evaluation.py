@@ -70,7 +70,8 @@ OnFitStep = Callable[[FitStep], None]
 
 @dataclass
 class FitCost:
-    """What a fit took: equilibria solved, Newton iterations, numeric factorisations, seconds of wall time."""
+    """What a fit took: seconds of wall time, and equilibria, Newton iterations and numeric factorisations of those
+    evaluations that had an equilibrium in each trial."""
 
     equilibria: int = 0
     newton_iterations: int = 0
@@ -191,8 +192,8 @@ class TrialSet:
                 start = near.equilibria[i].state
             if slope is not None:
                 start = slope.tangents[i]
-            problem, load, ratios = self._asked(i, log_ratios, acts[i])
             try:
+                problem, load, ratios = self._asked(i, log_ratios, acts[i])
                 if linearised:
                     return problem.solve_linearised(
                         load, ratios, start, largest_turn=FOLDED, most_factorisations=most_factorisations

@@ -89,7 +89,8 @@ def fit_stiffness(
     bounds : lowest and highest ratio.
     orientation : of a vertebra in the picture, "procrustes" or "covariance".
     observer : called after every evaluation.
-    max_iterations : evaluations of all trials (L-BFGS-B: iterations, and three times as many evaluations).
+    max_iterations : evaluations of all trials by each of at most four searches, those beside their ends not counted
+        (L-BFGS-B: iterations, and three times as many evaluations).
     priors : what is known beforehand of all that is not quite known.
     geometry : (6V, 6V) covariance of the vertebrae's rest poses (dt mm, dw rad); None: known.
     taped : the trunk's size was measured.

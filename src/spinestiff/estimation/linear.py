@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 from spinestiff.arrays import Floats
 from spinestiff.estimation.emulator import Emulator, Place
-from spinestiff.estimation.profiles import CONFIDENCE, DRAWS, WIDTH_FACTOR, Likely
+from spinestiff.estimation.profiles import CONFIDENCE, DRAWS, WIDTH_FACTOR, Likely, bounded_precision
 from spinestiff.estimation.tracing import interval_kind
 from spinestiff.estimation.weighed import WeighedFit, reduced
 
@@ -69,8 +69,7 @@ def linear_ratios(fit: WeighedFit, visited: Sequence[Place], limits: tuple[float
     """
     best = fit.point.log_ratios
     model = reduced(fit.point, fit.slope, fit.weights)
-    precision = model.ratios.T @ model.ratios + np.eye(len(best)) / (limits[1] - limits[0]) ** 2
-    covariance = np.asarray(np.linalg.inv(precision), dtype=float)
+    _, covariance = bounded_precision(model, limits)
     reach = WIDTH_FACTOR * ndtri(0.5 + 0.5 * CONFIDENCE) * np.sqrt(np.diag(covariance))
     low, high = best - reach, best + reach
     open_low, open_high = low <= limits[0], high >= limits[1]

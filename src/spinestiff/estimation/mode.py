@@ -19,7 +19,7 @@ from scipy.optimize import lsq_linear, minimize
 
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.emulator import Emulator, Place
+from spinestiff.estimation.emulator import Emulator, Place, by_differences
 from spinestiff.estimation.evaluation import compliance_step, log_step
 from spinestiff.estimation.kriging import Kriging
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
@@ -79,6 +79,7 @@ def likeliest(
 
     Parameters
     ----------
+    max_evaluations : of each search.
     tilt : half the log determinant of the nuisances' precision, if it is known, as from a coarser mesh.
     """
     if tilt is not None:
@@ -96,8 +97,12 @@ def likeliest(
         found = search(problem, found.point, limits, max_evaluations, close_sd, tilt, (found.slope, found.weights))
         found = replace(found, visited=(*before.visited, *_pairs(beside), *found.visited))
         moved = found.point.log_ratios - before.point.log_ratios
-        if np.linalg.norm(model.ratios @ moved) < CHANGED_SD and np.abs(moved).max() < CHANGED_LOG:
+        far = float(np.linalg.norm(model.ratios @ moved))
+        if far < CHANGED_SD and np.abs(moved).max() < CHANGED_LOG:
             break
+    else:
+        # The slope of the last round is that of a place so far off.
+        found = replace(found, short=max(found.short, far))
     return found
 
 
@@ -265,20 +270,14 @@ def _guided(
     known = emulator.log_ratios
     low = np.maximum(known.min(axis=0) - BEYOND, limits[0])
     high = np.minimum(known.max(axis=0) + BEYOND, limits[1])
-    count = known.shape[1]
-    offsets = 1e-3 * np.vstack([np.zeros(count), np.eye(count), -np.eye(count)])
 
     def wanted(where: Floats) -> Floats:
         return emulator.phi(where) if tilt is None else emulator.phi(where) + tilt.at(where)[:, 0]
 
-    def height(where: Floats) -> tuple[float, Floats]:
-        values = wanted(where + offsets)
-        return float(values[0]), (values[1 : 1 + count] - values[1 + count :]) / 2e-3
-
     # From the best of the places between the best one and the others, too: the floor may lie behind a rise.
     between = np.concatenate([known[:1] + part * (known - known[:1]) for part in (0.0, 0.25, 0.5, 0.75)])
     start = between[int(np.argmin(wanted(between)))]
-    found = minimize(height, start, jac=True, method="L-BFGS-B", bounds=list(zip(low, high))).x
+    found = minimize(by_differences(wanted, 1e-3), start, jac=True, method="L-BFGS-B", bounds=list(zip(low, high))).x
     return found, emulator.nuisances(found)[0]
 
 

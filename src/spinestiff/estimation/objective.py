@@ -246,8 +246,8 @@ def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "pro
 
     Raises
     ------
-    FitError : too few vertebrae, or a vertebra whose usable corners all weigh nothing.
-    TrackingError : corners that fit no vertebra of the torso.
+    FitError : too few vertebrae.
+    TrackingError : too few usable corners of a vertebra, or corners that fit no vertebra of the torso.
     """
     corners, name = trial.corners, trial.label or "trial"
     if len(corners) < FEWEST_VERTEBRAE:

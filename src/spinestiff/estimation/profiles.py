@@ -19,7 +19,7 @@ from spinestiff.estimation.emulator import Emulator, Place, tells
 from spinestiff.estimation.mode import MOST_FACTORISATIONS
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.tracing import Profile, Tracer, profile_kind
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights, phi, reduced
+from spinestiff.estimation.weighed import Reduced, WeighedFit, WeighedProblem, Weights, phi, reduced
 
 CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.05
@@ -53,7 +53,8 @@ class Likely(ShortRepr):
     region : (n, 2) outline of the joint 95 % region of two ratios, not cut at the bounds; None for another number.
     draws : (D, P) log ratios and (D, M) nuisances, equally probable. effective : independent draws they are worth.
     emulator : of psi.
-    settled : emulator and model agreed at the ends in the end, and the model has an equilibrium at each.
+    settled : emulator and model agreed at the ends in the end, and the model has an equilibrium at each, and where the
+        emulator was lower than at the estimate.
     likelier : the likeliest place that was solved, if it is likelier than the estimate by more than ``CLOSE_ENOUGH``.
     """
 
@@ -155,9 +156,7 @@ def _explored(
     """Ends, solved until emulator and model agree there by ``close_enough``."""
     places = [Place(fit.point, fit.slope.light), *visited]
     model = reduced(fit.point, fit.slope, fit.weights)
-    # A direction without any information gets the bounds' own width.
-    precision = model.ratios.T @ model.ratios + np.eye(len(fit.point.log_ratios)) / (limits[1] - limits[0]) ** 2
-    covariance = np.asarray(np.linalg.inv(precision), float)
+    precision, covariance = bounded_precision(model, limits)
     rise = 0.5 * region_rise(1)
     candidates, density = _candidates(fit.point.log_ratios, covariance, limits)
     failed: list[Floats] = []
@@ -177,9 +176,15 @@ def _explored(
             break
         wrong, unsolved = _solve_ends(problem, fit, emulator, places, wanted, precision, failed, close_enough)
         if not wrong:
-            settled = not any(k < len(ends) for k in unsolved)
+            settled = not unsolved
             break
     return _Explored(places, emulator, profiles, ends, settled, candidates, density)
+
+
+def bounded_precision(model: Reduced, limits: tuple[float, float]) -> tuple[Floats, Floats]:
+    """(P, P) of the log ratios to first order, and its inverse; what nothing tells is known by the bounds' width."""
+    precision = model.ratios.T @ model.ratios + np.eye(model.ratios.shape[1]) / (limits[1] - limits[0]) ** 2
+    return precision, np.asarray(np.linalg.inv(precision), float)
 
 
 def _likelier(places: Sequence[Place], weights: Weights) -> WeighedPoint | None:
@@ -237,15 +242,16 @@ def _solve_ends(
         near = np.einsum("ki,ij,kj->k", apart, precision, apart) < NEAR**2
         if (near & (np.abs(apart).max(axis=1) < NEAR_LOG)).any():
             continue
-        # Solved before, too far from its most probable nuisances to tell anything.
         if min(np.abs(place.point.log_ratios - end).max() for place in places) < SAME:
+            # Solved before, too far from its most probable nuisances to tell anything.
+            unsolved.append(k)
             continue
         farther = np.abs(apart[nearest]).max() / FARTHEST_STEP
         where = end if farther <= 1.0 else end + apart[nearest] * (1.0 - 1.0 / farther)
-        wrong |= farther > 1.0
         if sum((where - other) @ precision @ (where - other) < HOPELESS**2 for other in failed) > 1:
             unsolved.append(k)
             continue
+        wrong |= farther > 1.0
         solved.append(where)
         try:
             near_by = _much_nearer(places, where, precision)

@@ -20,6 +20,8 @@ from spinestiff.imaging.features import FEATURE_SHAPE
 
 # Of the ratios' precision: beyond, what parts two combinations of ratios is rounding.
 WORST_CONDITION = 1e12
+# Draws are told as poor where they are worth less than so many independent ones.
+FEWEST_DRAWS = 100.0
 # Of a ratio's direction that lies where nothing is known: below, rounding of the eigenvectors.
 SHARE_OF_UNKNOWN = 1e-9
 
@@ -139,8 +141,11 @@ def unsettled_warnings(
         return found
     if not likely.settled:
         found.append(
-            "an end of the intervals is interpolated between places where the model was solved, and less certain"
+            "an end of the intervals, or a place between, is interpolated where the model was not solved, "
+            "and less certain"
         )
+    if likely.effective < FEWEST_DRAWS:
+        found.append(f"the draws are worth no more than {likely.effective:.0f} independent ones; take the intervals")
     if likely.likelier is not None:
         ratios = np.exp(likely.likelier.log_ratios)
         where = ", ".join(f"{name} {ratio:.2g}" for name, ratio in zip(names, ratios))

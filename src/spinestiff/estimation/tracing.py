@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq, minimize
 
 from spinestiff.arrays import Floats, ShortRepr
-from spinestiff.estimation.emulator import Emulator
+from spinestiff.estimation.emulator import Emulator, by_differences
 
 # Steps of a profile, in standard deviations and at most in log ratio; each is so much longer than the last one, so that
 # the bounds are reached.
@@ -120,17 +120,15 @@ class Tracer:
     def _downhill(self, start: Floats, others: list[int], scale: Floats) -> tuple[Floats, float]:
         """Place and height of the next least psi over some of the log ratios."""
 
-        def height(x: Floats) -> tuple[float, Floats]:
-            where = np.tile(start, (1 + 2 * len(others), 1))
-            where[:, others] = start[others] + scale * x
-            for k, j in enumerate(others):
-                where[1 + 2 * k, j] += 1e-3 * scale[k]
-                where[2 + 2 * k, j] -= 1e-3 * scale[k]
-            values = self._emulator.psi(where)
-            return float(values[0]), (values[1::2] - values[2::2]) / 2e-3
+        def heights(x: Floats) -> Floats:
+            where = np.tile(start, (len(x), 1))
+            where[:, others] += scale * x
+            return self._emulator.psi(where)
 
         bounds = [((self._limits[0] - start[j]) / s, (self._limits[1] - start[j]) / s) for j, s in zip(others, scale)]
-        found = minimize(height, np.zeros(len(others)), jac=True, method="L-BFGS-B", bounds=bounds)
+        found = minimize(
+            by_differences(heights, 1e-3), np.zeros(len(others)), jac=True, method="L-BFGS-B", bounds=bounds
+        )
         place = start.copy()
         place[others] = np.clip(start[others] + scale * found.x, *self._limits)
         return place, float(found.fun) - self._least

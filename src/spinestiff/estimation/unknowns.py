@@ -17,6 +17,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RIB_ROTATION, ParameterGroup, parameter_group
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.estimation.discrepancy import pushed_side
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -135,7 +136,7 @@ def unknowns_of(
     loaded = np.array([trial.load.size > 0.0 for trial in trials], dtype=bool)
     force = np.array([trial.load.push.size for trial in trials])
     pushes = np.array([trial.push or f"trial {i + 1}" for i, trial in enumerate(trials)])
-    sides = np.array([_side(trial.load) for trial in trials])
+    sides = np.array([pushed_side(trial.load) for trial in trials])
     held, padded = (np.array([is_placed(act, q) for q in problems], dtype=bool) for act in PLACING)
     on_bones = np.array([len(trial.load.nodes) == 0 for trial in trials], dtype=bool)
     found: list[Unknown] = []
@@ -226,11 +227,6 @@ def with_unknowns(ratios: Mapping[str, float], known: Mapping[str, float]) -> di
             for group, power in SCALING[act].items():
                 found[group] = found.get(group, 1.0) * float(np.exp(power * known[name]))
     return found
-
-
-def _side(load: LoadCase) -> str:
-    """Where a push comes from: its force drives the spine to the other side."""
-    return "right" if load.push.total[0] >= 0.0 else "left"
 
 
 def load_changes(load: LoadCase, rest: TorsoState) -> tuple[LoadCase, ...]:

@@ -238,9 +238,7 @@ class WeighedProblem:
 
     def weights(self, point: WeighedPoint, slope: WeighedSlope, before: Weights | None) -> Weights:
         """The covariance at a point: tracking's size by restricted likelihood, outlying vertebrae with less weight."""
-        rest = np.eye(self.size)
-        channels = slice(0, self.noise.size)
-        rest[channels, channels] = self._constant + self.moving.discrepancy(point) + self.moving.drag(point)
+        rest, channels = self._untracked(point), slice(0, self.noise.size)
         free = point.values - slope.nuisances @ point.nuisances
         inflation = np.ones(self.noise.size) if before is None else before.inflation
         marginal = (rest + slope.nuisances @ slope.nuisances.T)[channels, channels]
@@ -283,10 +281,15 @@ class WeighedProblem:
     def covariance(self, point: WeighedPoint, tracking_factor: float = 1.0, inflation: Floats | None = None) -> Floats:
         """(n, n) of all residuals at given nuisances, with tracking's errors ``tracking_factor`` times as predicted and
         ``inflation`` (n,) of a vertebra's own variance."""
+        whole, channels = self._untracked(point), slice(0, self.noise.size)
+        whole[channels, channels] += self.noise.tracking(tracking_factor, inflation)
+        return whole
+
+    def _untracked(self, point: WeighedPoint) -> Floats:
+        """(n, n) covariance of all residuals without tracking's errors."""
         whole = np.eye(self.size)
         channels = slice(0, self.noise.size)
         whole[channels, channels] = self._constant + self.moving.discrepancy(point) + self.moving.drag(point)
-        whole[channels, channels] += self.noise.tracking(tracking_factor, inflation)
         return whole
 
     def as_expected(self, point: WeighedPoint) -> Weights:

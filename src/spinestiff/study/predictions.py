@@ -19,7 +19,7 @@ from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.changes import change_between
 from spinestiff.curves.tilts import CobbChange, cobb_change, tilts
 from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
-from spinestiff.estimation.evaluation import acted
+from spinestiff.estimation.evaluation import FOLDED, acted
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.objective import Target, make_target, residuals
 from spinestiff.estimation.unknowns import ACTS, PLACING, acts_by_name, unknowns_of
@@ -32,7 +32,8 @@ from spinestiff.parallel import in_parallel
 from spinestiff.study.trials import PushSet, PushTrial
 
 REST = "rest"
-FITTED_ROUNDS = 3
+# Supports fitted to a held-out frame move by less than so many prior standard deviations in the end, or are not told.
+FITTED_ROUNDS, FITTED_TO = 6, 0.02
 STATES_SCHEMA = "spinestiff-states-1"
 _FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
 
@@ -213,10 +214,10 @@ def predict(
                 last = fit.state
             say(f"push '{push}' frame {item.frame}: {name} at {item.force_n:.0f} N")
             ratios, own = models[name].ratios, acts[name][number]
-            asked, load, ratios = acted(pushes.problems[push], item.trial.load, ratios, own)
             try:
+                asked, load, ratios = acted(pushes.problems[push], item.trial.load, ratios, own)
                 # On the tangent of the frame before, which takes half the factorisations of a start from its state.
-                solution, last = asked.solve_linearised(load, ratios, last)
+                solution, last = asked.solve_linearised(load, ratios, last, largest_turn=FOLDED)
             except EquilibriumError as error:
                 say(f"{item.trial.label}: no prediction by '{name}': {error}")
                 continue
@@ -300,7 +301,7 @@ def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
     """Held-out frames with pelvis and shoulder also where their own vertebrae show them best.
 
     It says how much of a prediction's error the supports may be, and is no prediction. Nothing is added where supports
-    are no unknowns.
+    are no unknowns, and to no frame in which they do not settle.
     """
     pushes = predictions.pushes
     frames = [f for f in predictions.of_role("validation") if "fit" in f.solved]
@@ -316,9 +317,9 @@ def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
         item, problem = frame.item, pushes.problems[frame.item.push]
         found, state = expected.copy(), frame.solved["fit"].state
         for _ in range(FITTED_ROUNDS):
-            asked, load, ratios = acted(problem, item.trial.load, model.ratios, found)
             try:
-                equilibrium, tangent = asked.solve_linearised(load, ratios, state)
+                asked, load, ratios = acted(problem, item.trial.load, model.ratios, found)
+                equilibrium, tangent = asked.solve_linearised(load, ratios, state, largest_turn=FOLDED)
             except EquilibriumError:
                 return None
             state, part = equilibrium.state, residuals(pushes.torso, frame.target, equilibrium.state)
@@ -327,8 +328,10 @@ def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
             # As sure of a corner as of one set by hand.
             rows = np.vstack([columns / priors.annotation_mm, np.eye(2)])
             step = np.linalg.lstsq(rows, -np.concatenate([part.values / priors.annotation_mm, away]), rcond=None)[0]
+            if np.abs(step).max() < FITTED_TO:
+                return Solved.of(equilibrium)
             found[places] += sds * step
-        return Solved.of(equilibrium)
+        return None
 
     solved = dict(stored(predictions))
     for frame, found in zip(frames, in_parallel(fitted, range(len(frames)))):

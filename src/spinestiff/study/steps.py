@@ -15,7 +15,7 @@ from spinestiff.anatomy.regions import AT, expanded, torso_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
-from spinestiff.errors import EquilibriumError, FitError, NoMinimum, SubjectError, TrackingError
+from spinestiff.errors import EquilibriumError, NoMinimum, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import FitStep
 from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.estimation.forecast import Forecast
@@ -487,8 +487,8 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
     coarse = load_start(visit, pushes.orientation, method)
     try:
         return fit_from_coarse(coarse, pushes, names, usual, method, progress, say, population=population)
-    except FitError:
-        say("no fit from there; starting from the default ratios")
+    except NoMinimum as error:
+        say(f"no fit from there ({error}); starting from the default ratios")
         return fit_pushes(pushes, names, None, method, progress, population=population)
 
 

@@ -12,7 +12,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.pushes import annotated_frame, frame_forces
-from spinestiff.errors import FitError, SubjectError, TrackingError
+from spinestiff.errors import FitError, NoMinimum, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
 from spinestiff.estimation.fitted import FitEnd, Method, StiffnessFit
@@ -418,8 +418,8 @@ def fit_from_coarse(
         near = max(close_sd, ROUGHLY_SD)
         try:
             rough = fit_pushes(coarse, names, start, method, observer, shape, population=population, close_sd=near)
-        except FitError:
-            say("no fit on the coarse mesh")
+        except NoMinimum as error:
+            say(f"no fit on the coarse mesh ({error})")
         else:
             start, known = rough.ratios.as_dict(), rough.standard_nuisances
         say("on the fine mesh")
