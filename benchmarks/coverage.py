@@ -83,6 +83,7 @@ SCENARIOS = {
     "coarse pair, three pushes": Scenario("three pushes", 2300, "coarse", 24000, 460),
     "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 24000, 460),
     "coarse pair, nuisances integrated out": Scenario("three pushes", 3300, "coarse", 43000, 460),
+    "coarse pair, the paper's acquisition, nuisances integrated out": Scenario("paper", 3300, "coarse", 43000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 41000, 140),
     "default chain, nuisances integrated out": Scenario("three pushes", 15000, "fine", 42000, 140),
     "default chain's people, truth on 10,000 nodes": Scenario("three pushes", 10000, "fine", 41000, 12),

@@ -1,13 +1,17 @@
 """MMG, which makes better tetrahedra (extra [mesh]), in a process of its own: on some meshes it does not end.
 
-The process ends itself when its time is over, so that nothing is left of it if the program that waits is killed.
+The process ends itself when its time is over, so that nothing is left of it if the program that waits is killed. Its
+time is that of the processor where the system counts it (not on Windows): then a mesh does not depend on how busy the
+machine is.
 """
 
 from __future__ import annotations
 
 import faulthandler
 import json
+import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -26,8 +30,9 @@ WANTED_ANGLE_DEG = 10.0
 HAUSDORFF_MM = 3.0  # of the skin from its triangles, where these may change
 EDGE_DEG = 20.0  # between two triangles of the skin: a larger angle is an edge, and stays one
 VOLUME_TOLERANCE = 0.02
-# s, and s a tetrahedron, that it may take; it mostly needs less than a twentieth of that.
-LONGEST_S, LONGEST_S_EACH = 30.0, 0.002
+# CPU s, and CPU s a tetrahedron, that it may take; it mostly needs less than a twentieth of that. By the clock, so many
+# times as long.
+LONGEST_S, LONGEST_S_EACH, BY_CLOCK = 30.0, 0.002, 20.0
 
 
 def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]:
@@ -79,8 +84,10 @@ def remeshed(points: Floats, tetrahedra: Ints, required: Ints, options: Mapping[
     with tempfile.TemporaryDirectory(prefix="spinestiff-", ignore_cleanup_errors=True) as folder:
         given, made = Path(folder) / "given.npz", Path(folder) / "made.npz"
         np.savez(given, points=points, tetrahedra=tetrahedra, required=required)
-        began = time.monotonic()
-        asked = json.dumps({"longest_s": longest, "options": dict(options)})
+        # The signal that ends a process whose time of the processor is over; Windows has none.
+        over = getattr(signal, "SIGXCPU", None)
+        began, by_clock = time.monotonic(), longest if over is None else BY_CLOCK * longest
+        asked = json.dumps({"longest_s": longest, "by_clock_s": by_clock, "options": dict(options)})
         ran = subprocess.run(
             [sys.executable, "-P", "-m", "spinestiff.anatomy.mmg", str(given), str(made), asked],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, cwd=folder,
@@ -88,8 +95,10 @@ def remeshed(points: Floats, tetrahedra: Ints, required: Ints, options: Mapping[
         if ran.returncode == 0 and made.is_file():
             with np.load(made) as found:
                 return found["points"], found["tetrahedra"]
-        if time.monotonic() - began >= longest:
-            raise TimeoutError(f"MMG has not ended within {longest:.0f} s")
+        if over is not None and ran.returncode == -over:
+            raise TimeoutError(f"MMG has not ended within {longest:.0f} s of the processor")
+        if time.monotonic() - began >= by_clock:
+            raise TimeoutError(f"MMG has not ended within {by_clock:.0f} s")
         # Whatever MMG says, another set of points may do.
         said = " ".join(ran.stderr.decode(errors="replace").split())[-120:]
         raise TorsoError(f"MMG failed ({said or f'status {ran.returncode}'})")
@@ -98,7 +107,8 @@ def remeshed(points: Floats, tetrahedra: Ints, required: Ints, options: Mapping[
 def main(given: str, made: str, asked: str) -> None:
     """In the process of its own."""
     order = json.loads(asked)
-    faulthandler.dump_traceback_later(order["longest_s"], exit=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    faulthandler.dump_traceback_later(order["by_clock_s"], exit=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    _limit(math.ceil(order["longest_s"]))
     import mmgpy
 
     with np.load(given) as content:
@@ -114,6 +124,17 @@ def main(given: str, made: str, asked: str) -> None:
         sys.exit(str(error))
     found = np.asarray(mesh.get_vertices(), dtype=float), np.asarray(mesh.get_tetrahedra(), dtype=np.int64)
     np.savez(made, points=found[0], tetrahedra=found[1])
+
+
+def _limit(seconds: int) -> None:
+    """End this process, without a core file, once it has had so much of the processor."""
+    try:
+        import resource
+    except ImportError:  # Windows: the clock alone ends it
+        return
+    for kind, most in ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_CORE, 0)):
+        _, hard = resource.getrlimit(kind)
+        resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
 
 if __name__ == "__main__":
