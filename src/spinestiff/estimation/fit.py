@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -121,42 +122,20 @@ def fit_stiffness(
     first = _start(names, start, bounds)
     default = _default_point(trial_set)
     limits = (float(np.log(bounds[0])), float(np.log(bounds[1])))
-    weighed: Weighed | None = None
-    found: WeighedFit | None = None
-    covariance = np.full((len(names),) * 2, np.nan)
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
         start_point = _start_point(asked, first, nuisances, default, limits)
-        coarser = _of_the_same(asked, rough)
-        places = () if coarser is None else coarser.places
-        if len(names) > MOST_PROFILED:
-            found = search(asked, start_point, limits, max_iterations, close_sd)
-        else:
-            tilt = None if coarser is None else coarser.tilt
-            found = likeliest(asked, start_point, limits, max_iterations, close_sd, tilt)
-        likely, known = _likely(asked, found, limits, extent, places)
-        point, status = found.point.evaluation, found.status
-        covariance = ratio_covariance(found)
-        weighed = told(asked, found, likely, known, limits, places, extent == "everything")
+        end = _weighed_end(asked, start_point, limits, rough, extent, max_iterations, close_sd)
     else:
-        point = default if default is not None and not first.any() else _first_point(trial_set, first, default)
-        trial_set.note(point.log_ratios, point.loss, point, True)
-        point, status = lbfgsb(trial_set, point, limits, max_iterations)
-    likely = None if weighed is None else weighed.likely
+        end = _paper_end(trial_set, first, default, limits, max_iterations)
+    point, likely = end.point, None if end.weighed is None else end.weighed.likely
     intervals, opens = _ends(names, likely)
     edge = np.minimum(point.log_ratios - limits[0], limits[1] - point.log_ratios) < 1e-6
-    if status is FitStatus.CONVERGED:
-        # An estimate may end at a bound for no reason but that nothing holds it elsewhere.
-        widest = 0.0 if likely is None else (likely.high - likely.low).max() / (limits[1] - limits[0])
-        if widest >= WIDEST_INTERVAL or np.isinf(covariance).any():
-            status = FitStatus.NOT_IDENTIFIABLE
-        elif edge.any():
-            status = FitStatus.AT_BOUND
     trial_set.cost.seconds = time.perf_counter() - began
     return StiffnessFit(
         ratios=trial_set.ratios(point.log_ratios),
-        status=status,
-        covariance=covariance,
+        status=_status(end, edge, limits),
+        covariance=end.covariance,
         intervals95=intervals,
         open_ends=opens,
         at_bound={name: bool(flag) for name, flag in zip(names, edge)},
@@ -173,10 +152,69 @@ def fit_stiffness(
         warnings=(
             *trial_warnings(asked, default, point),
             *open_end_warnings(opens, bounds),
-            *unsettled_warnings(found, likely, names, close_sd),
+            *unsettled_warnings(end.search, likely, names, close_sd),
         ),
-        weighed=weighed,
+        weighed=end.weighed,
     )
+
+
+@dataclass(frozen=True)
+class _End:
+    """Where a method's search ended.
+
+    Attributes
+    ----------
+    status : of the search. covariance : (P, P) of the log ratios, NaN without one.
+    search, weighed : of the weighed method.
+    """
+
+    point: Evaluation
+    status: FitStatus
+    covariance: Floats
+    search: WeighedFit | None = None
+    weighed: Weighed | None = None
+
+
+def _weighed_end(
+    asked: WeighedProblem,
+    start: WeighedPoint,
+    limits: tuple[float, float],
+    rough: StiffnessFit | None,
+    extent: Extent,
+    max_iterations: int,
+    close_sd: float,
+) -> _End:
+    coarser = _of_the_same(asked, rough)
+    places = () if coarser is None else coarser.places
+    if len(start.log_ratios) > MOST_PROFILED:
+        found = search(asked, start, limits, max_iterations, close_sd)
+    else:
+        tilt = None if coarser is None else coarser.tilt
+        found = likeliest(asked, start, limits, max_iterations, close_sd, tilt)
+    likely, known = _likely(asked, found, limits, extent, places)
+    weighed = told(asked, found, likely, known, limits, places, extent == "everything")
+    return _End(found.point.evaluation, found.status, ratio_covariance(found), found, weighed)
+
+
+def _paper_end(
+    trial_set: TrialSet, first: Floats, default: Evaluation | None, limits: tuple[float, float], max_iterations: int
+) -> _End:
+    point = default if default is not None and not first.any() else _first_point(trial_set, first, default)
+    trial_set.note(point.log_ratios, point.loss, point, True)
+    point, status = lbfgsb(trial_set, point, limits, max_iterations)
+    return _End(point, status, np.full((len(first),) * 2, np.nan))
+
+
+def _status(end: _End, edge: np.ndarray, limits: tuple[float, float]) -> FitStatus:
+    """Of the fit: a search that converged may have found that the radiographs can't tell; ``edge``: (P,) at a bound."""
+    if end.status is not FitStatus.CONVERGED:
+        return end.status
+    # An estimate may end at a bound for no reason but that nothing holds it elsewhere.
+    likely = None if end.weighed is None else end.weighed.likely
+    widest = 0.0 if likely is None else (likely.high - likely.low).max() / (limits[1] - limits[0])
+    if widest >= WIDEST_INTERVAL or np.isinf(end.covariance).any():
+        return FitStatus.NOT_IDENTIFIABLE
+    return FitStatus.AT_BOUND if edge.any() else FitStatus.CONVERGED
 
 
 def likelihood_rise(

@@ -163,61 +163,106 @@ def search(
         settled = near > ENOUGH or (rough > MOST_REFUSED and predicted < CREASED)
         if predicted < 0.5 * close_sd**2 or settled:
             return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited), short, tilt)
-        before, refused, share = phi(point, weights) + _added(tilt, point.log_ratios), list[Place](), 1.0
-        nearly = predicted < SETTLED
-        guiding, shortest = not nearly, 0.25 if nearly else SHORTEST_STEP
-        moved: WeighedPoint | None = None
+        before = phi(point, weights) + _added(tilt, point.log_ratios)
         trail = _ahead(trail, point, step, nuisances) if predicted < SMALL else []
         mixed = _mixed(trail, slope, weights) if len(trail) > 1 else None
-        while moved is None and share >= shortest:
+        places, nearly = [Place(point, slope), *visited], predicted < SETTLED
+        ahead = _Ahead(problem, places, weights, step, nuisances, mixed, nearly, limits, tilt)
+        moved: WeighedPoint | None = None
+        while moved is None and (target := ahead.target()) is not None:
             if evaluations >= max_evaluations:
                 return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited), short, tilt)
-            target = np.clip(point.log_ratios + log_step(share * step), *limits)
-            wanted = point.nuisances + share * (nuisances - point.nuisances)
-            if mixed is not None:
-                target = np.clip(point.log_ratios + mixed[: len(step)], *limits)
-                wanted = point.nuisances + mixed[len(step) :]
-            elif guiding and refused:
-                tried = [Place(point, slope), *refused]
-                guided = _guided([tried[0], *visited, *refused], weights, limits, tilt)
-                if any(np.allclose(guided[0], place.point.log_ratios, rtol=0.0, atol=SAME) for place in tried):
-                    # It has nothing new to tell, as where ratios are at their bounds.
-                    guiding, share = False, 0.25 * share
-                    continue
-                target, wanted = guided
             evaluations += 1
             try:
-                trial = problem.solve(target, wanted, point, slope, most_factorisations=MOST_FACTORISATIONS)
-                after = phi(trial, weights) + _added(tilt, target)
+                trial = problem.solve(*target, point, slope, most_factorisations=MOST_FACTORISATIONS)
+                after = phi(trial, weights) + _added(tilt, trial.log_ratios)
             except EquilibriumError:
-                problem.trial_set.note(target, float("nan"), None, False)
-                if mixed is not None:
-                    mixed = None
-                    continue
-                share *= 0.25
-                # Led to a place without equilibrium, the search would be led there again.
-                guiding = guiding and not refused
+                problem.trial_set.note(target[0], float("nan"), None, False)
+                ahead.refuse(None)
                 continue
             # Below rounding of the equilibria a decrease is none.
-            if after <= before - 1e-4 * share * predicted or (predicted < 1e-4 and after <= before + 1e-4):
+            taken = after <= before - 1e-4 * ahead.share * predicted or (predicted < 1e-4 and after <= before + 1e-4)
+            problem.trial_set.note(target[0], after, trial.evaluation, taken)
+            if taken:
                 moved = trial
-                problem.trial_set.note(target, after, trial.evaluation, True)
                 break
-            problem.trial_set.note(target, after, trial.evaluation, False)
-            if mixed is not None:
-                mixed = None
-                continue
-            rough += predicted < CREASED
-            if guiding:
-                refused.append(Place(trial, problem.slope(trial).light))
-                guiding = len(refused) <= MOST_GUIDED
-            if not guiding:
-                share *= 0.25
-        visited = [*visited, Place(point, slope.light), *refused]
+            rough += predicted < CREASED and not ahead.mixing
+            ahead.refuse(trial)
+        visited = [*visited, Place(point, slope.light), *ahead.refused]
         if moved is None:
             status = FitStatus.CONVERGED if predicted < NEAR_ENOUGH else FitStatus.STALLED
             return WeighedFit(point, slope, weights, status, _pairs(visited), short, tilt)
         point, slope = moved, problem.slope(moved)
+
+
+class _Ahead:
+    """Where a search goes from a place: by the mixed steps, then by its own one, led by the emulator, in shorter ones.
+
+    Parameters
+    ----------
+    places : this one, and those visited before. step : of the compliances (P,), to ``nuisances`` (M,).
+    mixed : the way (P + M,) by ``_mixed``. nearly : the step promises so little that it is shortened once, not led.
+
+    Attributes
+    ----------
+    share : of the step that is tried. refused : places that tell the emulator where to go.
+    """
+
+    def __init__(
+        self,
+        problem: WeighedProblem,
+        places: list[Place],
+        weights: Weights,
+        step: Floats,
+        nuisances: Floats,
+        mixed: Floats | None,
+        nearly: bool,
+        limits: tuple[float, float],
+        tilt: Kriging | None,
+    ) -> None:
+        self._problem, self._places, self._weights = problem, places, weights
+        self._step, self._nuisances, self._mixed = step, nuisances, mixed
+        self._limits, self._tilt = limits, tilt
+        self._guiding, self._shortest = not nearly, 0.25 if nearly else SHORTEST_STEP
+        self.share, self.refused = 1.0, list[Place]()
+
+    @property
+    def mixing(self) -> bool:
+        """The target is that of the mixed steps."""
+        return self._mixed is not None
+
+    def target(self) -> tuple[Floats, Floats] | None:
+        """Log ratios and nuisances to try next; None where nothing is left."""
+        here = self._places[0].point
+        if self._mixed is not None:
+            p = len(self._step)
+            return np.clip(here.log_ratios + self._mixed[:p], *self._limits), here.nuisances + self._mixed[p:]
+        while self.share >= self._shortest:
+            if not (self._guiding and self.refused):
+                target = np.clip(here.log_ratios + log_step(self.share * self._step), *self._limits)
+                return target, here.nuisances + self.share * (self._nuisances - here.nuisances)
+            guided = _guided([*self._places, *self.refused], self._weights, self._limits, self._tilt)
+            tried = [here.log_ratios, *(place.point.log_ratios for place in self.refused)]
+            if not any(np.allclose(guided[0], where, rtol=0.0, atol=SAME) for where in tried):
+                return guided
+            # It has nothing new to tell, as where ratios are at their bounds.
+            self._guiding, self.share = False, 0.25 * self.share
+        return None
+
+    def refuse(self, trial: WeighedPoint | None) -> None:
+        """The last target led nowhere: to a place that is no better, or to none (None)."""
+        if self._mixed is not None:
+            self._mixed = None
+        elif trial is None:
+            self.share *= 0.25
+            # Led to a place without equilibrium, the search would be led there again.
+            self._guiding = self._guiding and not self.refused
+        else:
+            if self._guiding:
+                self.refused.append(Place(trial, self._problem.slope(trial).light))
+                self._guiding = len(self.refused) <= MOST_GUIDED
+            if not self._guiding:
+                self.share *= 0.25
 
 
 def _added(tilt: Kriging | None, log_ratios: Floats) -> float:
