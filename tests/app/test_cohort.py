@@ -163,6 +163,16 @@ def test_settings_that_there_are_not_are_refused_before_anything_runs():
         order_of({"method": "best"})
 
 
+def test_a_subject_folder_is_no_place_for_a_cohort(spinestiff, tmp_path):
+    cohort_of(tmp_path / "in", 1)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "subject.json").write_text("{}", encoding="utf-8")
+    ran = spinestiff("cohort", str(tmp_path / "in"), str(tmp_path / "out"))
+    assert ran.status == 2
+    assert "out: is a subject folder; a cohort has a folder for each participant, name another one" in ran.err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["subject.json"]
+
+
 def test_news_may_come_while_the_table_is_drawn():
     shown, drawn, failed = Shown(20_000, 2, lambda line: None), threading.Event(), []
     shown.expect(60.0)

@@ -200,10 +200,14 @@ def test_options_that_say_nothing_are_refused(changes, message):
 
 
 def test_a_dose_is_a_number_of_radiographs():
-    assert exposures_of(100.0, 25.0, None) == (4.0, 1.0)
-    assert exposures_of(0.3, 0.1, 0.25) == pytest.approx((3.0, 2.5))
-    assert exposures_of(1e9, 1.0, 3.0) == (40.0, 3.0)
-    assert exposures_of(0.2, 0.1, None)[0] == 2.0
+    assert exposures_of(None, None, None, None) == (8.0, 1.0)
+    assert exposures_of(5, None, None, None) == (5.0, 1.0)
+    assert exposures_of(None, 100.0, 25.0, None) == (4.0, 1.0)
+    assert exposures_of(None, 0.3, 0.1, 0.25) == pytest.approx((3.0, 2.5))
+    assert exposures_of(None, 1e9, 1.0, 3.0) == (40.0, 3.0)
+    assert exposures_of(None, 0.2, 0.1, None)[0] == 2.0
+    with pytest.raises(OptionError, match="--exposures 5: --dose stands in its place"):
+        exposures_of(5, 100.0, 25.0, None)
     for dose, each, lateral, message in (
         (100.0, None, None, "--dose and --frame-dose belong together"),
         (None, 1.0, None, "--dose and --frame-dose belong together"),
@@ -211,7 +215,7 @@ def test_a_dose_is_a_number_of_radiographs():
         (30.0, 20.0, None, "--dose 30: allows 1 of 20; a push takes 2 radiographs"),
     ):
         with pytest.raises(OptionError, match=message):
-            exposures_of(dose, each, lateral)
+            exposures_of(None, dose, each, lateral)
 
 
 def test_a_dose_counts_lateral_radiographs_as_they_are(spinestiff, subject):

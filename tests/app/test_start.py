@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import sys
 import pytest
 
 from hospital import export
+from spinestiff.app.start import _open_standard_files
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals, pipes and devices of Unix")
 PROGRAM = [sys.executable, "-c", "from spinestiff.app.start import main; main()"]
@@ -59,6 +61,23 @@ def test_names_of_files_that_are_no_text_are_told_by_their_codes(tmp_path, line,
     ended = shell(f"cd '{tmp_path}'; export PYTHONIOENCODING=utf-8:strict; \"$@\" {line}")
     assert (ended.returncode, "Traceback" in ended.stderr) == (0, False)
     assert words in " ".join(ended.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("encoding", "errors", "written"),
+    [
+        ("ascii", "surrogateescape", b"12\\xb0 M\\udcfcller"),
+        ("latin-1", "strict", b"12\xb0 M\\udcfcller"),
+        ("utf-8", "surrogateescape", b"12\xc2\xb0 M\xfcller"),
+    ],
+)
+def test_signs_that_an_output_lacks_are_told_by_their_codes(monkeypatch, encoding, errors, written):
+    """The first as Python has it where ``LC_ALL`` is C and its UTF-8 mode is off."""
+    taken = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(taken, encoding=encoding, errors=errors))
+    _open_standard_files()
+    print("12° M\udcfcller", end="", flush=True)
+    assert taken.getvalue() == written
 
 
 @pytest.mark.parametrize("place", ["typer", "numpy", "scipy.sparse"])

@@ -19,6 +19,8 @@ from spinestiff.study.steps import subject_template
 from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.folder import (
     check_frames,
+    check_output_apart,
+    check_output_beside,
     image_corners,
     image_pedicles,
     image_supports,
@@ -82,6 +84,16 @@ def test_the_documented_example_is_read(folder):
     assert subject.image_path("push/right-8") == folder / "pushes/right-8.dcm"
     assert set(image_supports(subject, "push/right-8")) == {"pelvis", "shoulder"}
     assert image_supports(subject, "rest/frontal") == {}
+
+
+@pytest.mark.parametrize("name", ["annotation.json", "subject.json", "rest/new.png", "results/tracked.json"])
+def test_an_output_of_another_command_loses_nothing_in_a_subject_folder(folder, name):
+    with pytest.raises(SubjectError, match=r"lies among the inputs|this command reads it"):
+        check_output_apart(folder / name, "--out", force=True)
+    with pytest.raises(SubjectError, match=r"lies among the inputs|this command reads it"):
+        check_output_beside(folder.parent / "other", folder / name, "--out", force=True)
+    check_output_apart(folder / "results" / "curve.png", "--out", force=True)
+    check_output_apart(folder.parent / "curve.png", "--out", force=True)
 
 
 def test_the_documented_python_runs(folder, monkeypatch, capsys):

@@ -57,5 +57,35 @@ def test_marks_that_a_later_step_refuses_are_refused_before_corners_are_followed
     assert [one.reason for one in inspect(girl) if one.reason] == [str(refused.value)]
 
 
+def test_support_points_out_of_the_picture_are_refused_before_corners_are_followed(girl, monkeypatch):
+    monkeypatch.setattr(steps, "track", lambda *args, **kwargs: pytest.fail("followed"))
+    content = read_json(girl / "annotation.json")
+    content["images"]["push/main"]["supports"] = {"pelvis": [[200.0, 300.0], [4000.0, 300.0]]}
+    write_json(girl / "annotation.json", content)
+    words = r"images.push/main.supports.pelvis: found a point at column 4000, row 300, wanted it in the image of 512"
+    with pytest.raises(SubjectError, match=words) as refused:
+        run_steps(open_visit(girl))
+    assert [one.reason for one in inspect(girl) if one.reason] == [str(refused.value)]
+
+
+def test_a_radiograph_counts_in_one_push_alone(girl, monkeypatch):
+    """Whatever its file is called; without load, or unused, it may stand in two."""
+    monkeypatch.setattr(steps, "track", lambda *args, **kwargs: pytest.fail("followed"))
+    content, marks = read_json(girl / "subject.json"), read_json(girl / "annotation.json")
+    main, second = content["pushes"]
+    second |= {name: main[name] for name in ("forces_n", "roles")}
+    shutil.copy(girl / main["frames"], girl / second["frames"])
+    marks["images"]["push/second"] = marks["images"]["push/main"]
+    write_json(girl / "subject.json", content)
+    write_json(girl / "annotation.json", marks)
+    used = next(i for i, (force, role) in enumerate(zip(main["forces_n"], main["roles"])) if force and role != "unused")
+    words = f"push 'second' frame {used} is the same picture as push 'main' frame {used}, and would count twice"
+    with pytest.raises(SubjectError, match=words):
+        run_steps(open_visit(girl))
+    second["roles"] = ["unused"] * len(second["roles"])
+    write_json(girl / "subject.json", content)
+    check_marks(read_subject(girl))
+
+
 def test_marks_as_they_should_be_are_taken(girl):
     check_marks(read_subject(girl))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -174,6 +175,22 @@ def test_a_damaged_record_only_means_redoing(bare, text):
     assert not is_current(bare, "track", StepRecord(digest="11"))
     record_step(bare, "track", StepRecord(digest="11"), [])
     assert is_current(bare, "track", StepRecord(digest="11"))
+
+
+def test_a_record_that_cannot_be_opened_is_told_and_kept(bare, monkeypatch):
+    path = bare.results / "run.json"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("{}", encoding="utf-8")
+    real = Path.open
+
+    def refused(self, *args, **kwargs):
+        if self == path:
+            raise PermissionError(13, "Permission denied")
+        return real(self, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(SubjectError, match=r"run.json: can't be read \(no permission\)"):
+        recorded_steps(bare)
 
 
 def test_the_program_is_part_of_the_digest(bare):

@@ -12,7 +12,6 @@ from rich.table import Table
 
 from spinestiff.app import tables
 from spinestiff.errors import SubjectError
-from spinestiff.files import check_output
 
 if TYPE_CHECKING:
     from spinestiff.curves.cobb import CobbReading, Curve, Definition
@@ -39,6 +38,8 @@ def cobb(
     SubjectError : an unknown option's value, a noise in pixels of corners in mm, or a folder or file that can't be
         read.
     """
+    from spinestiff.subject.folder import check_output_apart
+
     chosen = _definition(definition)
     side = _side(patient_left)
     if picture is not None and table is not None and os.path.realpath(picture) == os.path.realpath(table):
@@ -47,7 +48,7 @@ def cobb(
     if path.is_file() or path.suffix.lower() in (".csv", ".json"):
         for out, option in ((picture, "--picture"), (table, "--csv")):
             if out is not None:
-                check_output(out, option, inputs=[path], force=force)
+                check_output_apart(out, option, inputs=[path], force=force)
         return _of_file(path, chosen, as_json, noise_px, side, picture, table)
     if side is not None:
         raise SubjectError("--patient-left is for files of corners; the radiographs of a subject folder tell it")

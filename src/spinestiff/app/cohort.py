@@ -19,6 +19,7 @@ from spinestiff.cohort.processes import processors, usual_memory_mb
 from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.errors import OptionError
 from spinestiff.subject.program import program
+from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.words import counted
 
 LEVELS = ("participant", "group")
@@ -72,6 +73,10 @@ def run_cohort(
     if scheduler is not None and (index is not None or level == "group"):
         what = "--index" if index is not None else "group"
         raise OptionError(f"--scheduler {scheduler}: runs participants on a cluster; leave out it or {what}")
+    if (target / SUBJECT_FILE).is_file():
+        raise OptionError(
+            f"{target}: is a subject folder; a cohort has a folder for each participant, name another one"
+        )
     cohort = Cohort(source, target, read_participants(source), order)
     status = 0
     if level != "group":

@@ -30,7 +30,7 @@ from spinestiff.subject.plan_outcome import Plan, PlannedPush
 from spinestiff.subject.run_record import record_step, recorded_steps, step_record, write_outcome
 
 TARGETS = ("bending", "tissue", "rotation", "cobb")
-MOST_EXPOSURES = 40
+MOST_EXPOSURES, USUAL_EXPOSURES = 40, 8
 SHOWN = 6  # single pushes in the table
 _log = logging.getLogger(__name__)
 
@@ -75,13 +75,20 @@ def wish_of(
     )
 
 
-def exposures_of(dose: float | None, frame_dose: float | None, lateral_dose: float | None) -> tuple[float, float]:
-    """Frontal radiographs that a dose allows, and what a lateral one costs of them.
+def exposures_of(
+    exposures: int | None, dose: float | None, frame_dose: float | None, lateral_dose: float | None
+) -> tuple[float, float]:
+    """Frontal radiographs that are asked for or that a dose allows, and what a lateral one costs of them.
 
     Raises
     ------
-    OptionError : the dose or that of a radiograph is missing, or they allow no push, which takes two radiographs.
+    OptionError : both are given; the dose or that of a radiograph is missing, or they allow no push, which takes two
+        radiographs.
     """
+    if dose is None and frame_dose is None and lateral_dose is None:
+        return float(USUAL_EXPOSURES if exposures is None else exposures), 1.0
+    if exposures is not None:
+        raise OptionError(f"--exposures {exposures}: --dose stands in its place; give one of the two")
     if dose is None or frame_dose is None:
         raise OptionError("--dose and --frame-dose belong together, --lateral-dose to both; give both or none of them")
     count = min(dose / frame_dose, float(MOST_EXPOSURES))

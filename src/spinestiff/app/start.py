@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import os
 import sys
@@ -50,7 +51,8 @@ def _open_standard_files() -> None:
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (until the program's end)
         stream = getattr(sys, name)
-        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+        kept = stream.errors == "surrogateescape" and codecs.lookup(stream.encoding).name == "utf-8"
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape") and not kept:
             # Names of files that are no text in this encoding, and signs that a console lacks, are told by their codes.
             stream.reconfigure(errors="backslashreplace")
 

@@ -158,18 +158,16 @@ def export(
         _export_drawn(file, kind, out, draws)
         return
     from spinestiff.anatomy.export import FORMATS, export_torso
-    from spinestiff.files import check_output
+    from spinestiff.subject.folder import check_output_apart, check_output_beside
 
     if kind not in FORMATS:
         raise TorsoError(f"unknown format '{kind}'; known are {', '.join(FORMATS)}")
     chosen = FORMATS[kind]
     path = out or Path(f"torso{chosen.suffix}")
     if file is not None and file.is_dir():
-        from spinestiff.subject.folder import check_output_beside
-
         check_output_beside(file, path, "--out", force=force)
     else:
-        check_output(path, "--out", inputs=[] if file is None else [file], force=force, error=TorsoError)
+        check_output_apart(path, "--out", inputs=[] if file is None else [file], force=force, error=TorsoError)
     found = _torso(file, height=height, age=age, sex=sex, mass=mass, kyphosis=kyphosis, lordosis=lordosis, mesh=mesh)
     export_torso(found, path, kind)
     typer.echo(f"{path}: for {chosen.purpose}; leaves out or changes: {chosen.leaves_out}")

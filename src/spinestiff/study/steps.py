@@ -109,7 +109,7 @@ def track_step(visit: Visit, say: Observer) -> None:
             say(f"push '{name}': {done} of {counted(total, 'frame')}")
 
         tracked = track(frames, annotated, progress)
-        marked = image_supports(subject, push.image)
+        marked = image_supports(subject, push.image, view)
         if marked:
             say(f"push '{push.id}': pelvis and shoulder")
         supports = support_motion(frames, marked)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -17,7 +17,7 @@ import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
-from spinestiff.errors import SubjectError, SubjectGaps
+from spinestiff.errors import SpinestiffError, SubjectError, SubjectGaps
 from spinestiff.files import check_output, no_folder, regular_file, regular_files, write_json
 from spinestiff.imaging.dicom.files import MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
@@ -387,10 +387,19 @@ def check_inside(where: str, what: str, points: Floats, view: XRayView, advice: 
             )
 
 
-def image_supports(subject: Subject, image: str) -> Mapping[str, Floats]:
-    """Annotated support points (n, 2) in pixels (column, row), by "pelvis" and "shoulder"; empty if none are given."""
-    _, annotated = _annotated(subject, image)
-    return {name: np.array(points) for name, points in annotated.supports.items()}
+def image_supports(subject: Subject, image: str, view: XRayView | None = None) -> Mapping[str, Floats]:
+    """Annotated support points (n, 2) in pixels (column, row), by "pelvis" and "shoulder"; empty if none are given.
+
+    Raises
+    ------
+    SubjectError : a point lies outside the image of ``view``, if that is given.
+    """
+    where, annotated = _annotated(subject, image)
+    found: dict[str, Floats] = {name: np.array(points) for name, points in annotated.supports.items()}
+    if view is not None:
+        for name, points in found.items():
+            check_inside(f"{where}.supports.{name}", "point", points, view, "leave out points that can't be seen")
+    return found
 
 
 def _annotated(subject: Subject, image: str) -> tuple[str, ImageAnnotation]:
@@ -478,11 +487,37 @@ def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -
 
     Raises
     ------
-    SubjectError : see ``files.check_output``.
+    SubjectError : see ``files.check_output``; a place in another subject's folder that is no place for it there.
     """
-    results = folder / RESULTS
-    inputs = [results / name for name in READ_AGAIN]
-    check_output(path, option, inputs=inputs, closed=folder, but=results, force=force)
+    for one in dict.fromkeys((folder, *_subject_folder_of(path))):
+        results = one / RESULTS
+        inputs = [results / name for name in READ_AGAIN]
+        check_output(path, option, inputs=inputs, closed=one, but=results, force=force)
+
+
+def check_output_apart(
+    path: Path,
+    option: str,
+    *,
+    inputs: Iterable[Path] = (),
+    force: bool,
+    error: type[SpinestiffError] = SubjectError,
+) -> None:
+    """Refuse a place for an output of a command that reads no subject folder (``files.check_output``); in one that
+    the place happens to lie in, nothing is lost either.
+
+    Raises
+    ------
+    error : see ``files.check_output``. SubjectError : see ``check_output_beside``.
+    """
+    check_output(path, option, inputs=inputs, force=force, error=error)
+    for folder in _subject_folder_of(path):
+        check_output_beside(folder, path, option, force=force)
+
+
+def _subject_folder_of(path: Path) -> list[Path]:
+    """The subject folder in which a place lies, if it does."""
+    return [folder for folder in Path(os.path.realpath(path)).parents if (folder / SUBJECT_FILE).is_file()][:1]
 
 
 def _check_input(subject: Subject, path: Path, what: str) -> None:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 
+import numpy as np
+
+from spinestiff.errors import SubjectError
 from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.subject.folder import (
     Subject,
     image_corners,
     image_pedicles,
+    image_supports,
     open_push,
     read_rest,
     read_view,
 )
-from spinestiff.subject.records import PushRecord
+from spinestiff.subject.records import SUBJECT_FILE, PushRecord
 
 
 def check_marks(subject: Subject) -> None:
@@ -21,13 +27,17 @@ def check_marks(subject: Subject) -> None:
 
     Raises
     ------
-    SubjectError : as ``folder.image_corners`` and ``folder.image_pedicles``; radiographs of another number or kind.
+    SubjectError : as ``folder.image_corners``, ``image_pedicles`` and ``image_supports``; radiographs of another number
+        or kind, or one that two pushes use under load.
     RadiographError : a radiograph that can't be read.
     """
     for which in subject.rest_views:
         check_marks_in(subject, (f"rest/{which}",), read_rest(subject, which).view)
+    seen: dict[str, tuple[str, str]] = {}
     for push in subject.pushes:
-        check_marks_in(subject, frame_names(push), open_push(subject, push)[0].view)
+        frames = open_push(subject, push)
+        check_marks_in(subject, frame_names(push), frames[0].view)
+        _check_own(subject, push, frames, seen)
         for view in push.views:
             names = tuple(push.view_image(frame, view.id) for frame in view.frames)
             check_marks_in(subject, names, read_view(subject, push, view)[0].view)
@@ -43,6 +53,23 @@ def check_marks_in(subject: Subject, names: Sequence[str], view: XRayView) -> No
         if name in subject.annotation.images:
             image_corners(subject, name, view)
             image_pedicles(subject, name, view)
+            image_supports(subject, name, view)
+
+
+def _check_own(
+    subject: Subject, push: PushRecord, frames: Sequence[Radiograph], seen: dict[str, tuple[str, str]]
+) -> None:
+    """Raise SubjectError where a radiograph under load is another push's, too; ``seen``: hash -> push, and which."""
+    for number, (force, role) in enumerate(zip(push.forces_n, push.roles)):
+        if force > 0.0 and role != "unused":
+            pixels, name = frames[number].pixels, f"push '{push.id}' frame {number}"
+            key = hashlib.sha256(f"{pixels.shape}".encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()
+            other, which = seen.setdefault(key, (push.id, name))
+            if other != push.id:
+                raise SubjectError(
+                    f"{subject.folder / SUBJECT_FILE}: {name} is the same picture as {which}, and would count twice; "
+                    "leave one of the two out"
+                )
 
 
 def frame_names(push: PushRecord) -> tuple[str, ...]:

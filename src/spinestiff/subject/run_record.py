@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError
 
 from spinestiff import __version__
 from spinestiff.errors import SubjectError
-from spinestiff.files import file_digest, read_text, write_json
+from spinestiff.files import file_digest, read_text, trouble, write_json
 from spinestiff.formats import json_text, parse_json
 from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
@@ -164,10 +164,19 @@ def record_step(
 
 
 def recorded_steps(subject: Subject) -> dict[str, StepRecord]:
-    """The steps of ``run.json``; none if it is missing, damaged or of another version, so that they are redone."""
+    """The steps of ``run.json``; none if it is missing, damaged or of another version, so that they are redone.
+
+    Raises
+    ------
+    SubjectError : it is there and can't be opened, so that nobody knows what would be redone.
+    """
     path = subject.results / RUN_FILE
     if not path.is_file():
         return {}
+    try:
+        path.open("rb").close()
+    except OSError as problem:
+        raise SubjectError(f"{path}: can't be read ({trouble(problem)})") from None
     try:
         text = read_text(path)
         parse_json(text, str(path))

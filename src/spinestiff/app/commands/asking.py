@@ -25,8 +25,8 @@ def plan(
         float, typer.Option(callback=within("N", push_limits), help="Largest force to propose, N.")
     ] = 80.0,
     exposures: Annotated[
-        int, typer.Option(min=2, max=40, help="Further radiographs at most, unloaded ones included.")
-    ] = 8,
+        int | None, typer.Option(min=2, max=40, help="Further radiographs at most, unloaded ones included; default 8.")
+    ] = None,
     dose: Annotated[
         float | None,
         typer.Option(
@@ -71,9 +71,7 @@ def plan(
     from spinestiff.app.plan import exposures_of, plan_next, plan_record, show_plan, wish_of
     from spinestiff.app.tables import show_json
 
-    budget, lateral_cost = float(exposures), 1.0
-    if any(given is not None for given in (dose, frame_dose, lateral_dose)):
-        budget, lateral_cost = exposures_of(dose, frame_dose, lateral_dose)
+    budget, lateral_cost = exposures_of(exposures, dose, frame_dose, lateral_dose)
     wish = wish_of(target, limit, budget, side, ribs, under, push_limits()[1], views, lateral_cost)
     with at_work(folder, "plan", **asdict(wish)) as (visit, say):
         found = plan_next(visit, wish, say)

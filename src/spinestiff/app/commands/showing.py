@@ -85,11 +85,12 @@ def visit_page(folder: Path | None, out: Path | None, force: bool) -> Path:
 def torso_page(torso: Path, out: Path | None, force: bool) -> Path:
     """The page of a torso file."""
     from spinestiff.errors import TorsoError
-    from spinestiff.files import check_output, regular_file
+    from spinestiff.files import regular_file
     from spinestiff.study.report.viewer.files import write_torso_view
+    from spinestiff.subject.folder import check_output_apart
 
     regular_file(torso, TorsoError)
     page = out or torso.with_suffix(".html")
-    check_output(page, "--out", inputs=[torso], force=force)
+    check_output_apart(page, "--out", inputs=[torso], force=force)
     write_torso_view(torso, page)
     return page
