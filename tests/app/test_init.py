@@ -596,6 +596,7 @@ def test_an_empty_line_confirms_and_the_end_of_the_input_does_not():
     [
         ("gauge.csv", {"offsets": ("300",)}, "push-1: with the first frame at 300 s"),
         ("gauge.csv", {"offsets": ("inf",)}, "--log-offset: found 'inf', wanted a number"),
+        ("gauge.csv", {"offsets": ("2,5",)}, "--log-offset: found '2,5', wanted a decimal point, as in 12.5"),
         ("none.csv", {}, "none.csv"),
         ("back.csv", {}, "line 3: the time does not grow"),
         ("push-2=gauge.csv", {}, "no push 'push-2'; wanted one of push-1, or the name of its file"),

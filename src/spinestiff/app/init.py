@@ -269,6 +269,8 @@ def _pair(text: str, option: str, wanted: str) -> tuple[str, str]:
 
 
 def _seconds(text: str) -> float:
+    if "," in text:
+        raise OptionError(f"--log-offset: found {text[:40]!r}, wanted a decimal point, as in 12.5")
     try:
         return questions.number(text, -1e9, 1e9)
     except ValueError as problem:

@@ -62,7 +62,11 @@ Lordosis = Annotated[
 ]
 TemplateMesh = Annotated[
     str | None,
-    typer.Option("--mesh", help="Mesh of the template: coarse or fine.", autocompletion=offering("coarse", "fine")),
+    typer.Option(
+        "--mesh",
+        help="Mesh of the template: coarse, fine, or own (about 15,000 nodes, made in another way).",
+        autocompletion=offering("coarse", "fine", "own"),
+    ),
 ]
 
 

@@ -259,7 +259,8 @@ def read_open_data(folder: Path, given: Given) -> dict[str, Any]:
         if filled == data:
             told = f", and nothing changes ({'; '.join(stays)})" if stays else ""
             raise SubjectError(
-                f"{path}: nothing is missing{told}; to make another subject, name a new folder and DICOM files"
+                f"{path}: nothing is missing in it{told} (spinestiff inspect tells what its radiographs lack); to make "
+                "another subject, name a new folder and DICOM files"
             )
     check_open_record(data)
     return dict(data)
