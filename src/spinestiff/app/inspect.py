@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from spinestiff.errors import RadiographError
+from spinestiff.errors import RadiographError, SpinestiffError
+from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.words import counted
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ def show_inspection(path: Path, as_json: bool) -> None:
     from spinestiff.subject.inspection import inspect
 
     found = inspect(path)
+    if (path / SUBJECT_FILE).is_file() and all(one.status == "ok" for one in found):
+        found += tuple(_odd_settings(path))
     refused = [one for one in found if one.reason]
     if as_json:
         show_json([one.record() for one in found])
@@ -38,6 +41,20 @@ def show_inspection(path: Path, as_json: bool) -> None:
         raise RadiographError(refused[0].reason)
     if refused:
         raise typer.Exit(2)
+
+
+def _odd_settings(folder: Path) -> Iterator[Inspection]:
+    """What the steps would refuse of a subject whose radiographs they take: priors, population, body, torso, scan."""
+    from spinestiff.study.steps import skin_scan, starting_torso
+    from spinestiff.study.visit import open_visit
+    from spinestiff.subject.inspection import Inspection
+
+    try:
+        visit = open_visit(folder)
+        starting_torso(visit)
+        skin_scan(visit)
+    except SpinestiffError as problem:
+        yield Inspection(SUBJECT_FILE, str(problem))
 
 
 def _lines(one: Inspection) -> Iterator[str]:
