@@ -86,6 +86,18 @@ def test_the_documented_example_is_read(folder):
     assert image_supports(subject, "rest/frontal") == {}
 
 
+def test_a_folder_that_may_not_be_looked_into_is_told_so(folder, monkeypatch):
+    real = Path.lstat
+
+    def closed(self):
+        if self.name == "right-8.dcm":
+            raise PermissionError(13, "Permission denied")
+        return real(self)
+
+    monkeypatch.setattr(Path, "lstat", closed)
+    assert "right-8.dcm: can't be read (no permission); wanted the radiograph of push/right-8" in refusal(folder)
+
+
 @pytest.mark.parametrize("name", ["annotation.json", "subject.json", "rest/new.png", "results/tracked.json"])
 def test_an_output_of_another_command_loses_nothing_in_a_subject_folder(folder, name):
     with pytest.raises(SubjectError, match=r"lies among the inputs|this command reads it"):

@@ -18,7 +18,7 @@ import numpy as np
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError, SubjectError, SubjectGaps
-from spinestiff.files import check_output, no_folder, regular_file, regular_files, write_json
+from spinestiff.files import check_output, no_folder, regular_file, regular_files, trouble, write_json
 from spinestiff.imaging.dicom.files import MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.mechanics.loads import USUAL_LIMIT_N
@@ -523,8 +523,12 @@ def _subject_folder_of(path: Path) -> list[Path]:
 def _check_input(subject: Subject, path: Path, what: str) -> None:
     """Raise SubjectError unless a file, or each file of a folder, may be read and no step writes there."""
     folder, results = subject.folder, subject.results
-    if not os.path.lexists(path):
-        raise SubjectError(f"{path}: no such file; wanted {what}")
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise SubjectError(f"{path}: no such file; wanted {what}") from None
+    except OSError as problem:
+        raise SubjectError(f"{path}: can't be read ({trouble(problem)}); wanted {what}") from None
     if path.is_dir():
         files = list(regular_files(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES))
         if not files:
