@@ -9,7 +9,7 @@ import typer
 
 from spinestiff.anatomy.export import FORMATS
 from spinestiff.anatomy.importing.orienting import UNITS
-from spinestiff.anatomy.template import MESHES
+from spinestiff.anatomy.template import MESHES, OWN_MESH
 from spinestiff.anatomy.template.body import Sex
 from spinestiff.app.cli import app
 from spinestiff.app.cohort import LEVELS
@@ -225,6 +225,7 @@ def test_the_shell_offers_all_words_that_an_option_takes_and_no_other():
     }
     # Of a command whose option takes other words, and those that take any text, or several words at once.
     special = {("init", "--side"): SIDES, ("init", "--orientation"): ("standard",)}
+    special |= {(f"torso {name}", "--mesh"): (*MESHES, OWN_MESH) for name in ("show", "export")}
     open_ = {
         "--ratios", "--spine-id", "--id", "--log", "--log-columns", "--log-units", "--log-offset", "--study",
         "--frontal", "--lateral", "--host", "--proxy", "--parameters", "--ribs", "--under", "--scheduler", "--axes",
