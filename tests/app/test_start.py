@@ -80,6 +80,19 @@ def test_signs_that_an_output_lacks_are_told_by_their_codes(monkeypatch, encodin
     assert taken.getvalue() == written
 
 
+def test_an_output_that_is_no_file_stays_as_it_is(monkeypatch):
+    """As where another program takes what is printed."""
+
+    class Taking:
+        def write(self, text):
+            return len(text)
+
+    taking = Taking()
+    monkeypatch.setattr(sys, "stdout", taking)
+    _open_standard_files()
+    assert sys.stdout is taking
+
+
 @pytest.mark.parametrize("place", ["typer", "numpy", "scipy.sparse"])
 def test_ctrl_c_while_something_is_imported_is_one_line(place):
     """The import of one package is where the signal comes."""

@@ -51,10 +51,15 @@ def _open_standard_files() -> None:
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (until the program's end)
         stream = getattr(sys, name)
-        kept = stream.errors == "surrogateescape" and codecs.lookup(stream.encoding).name == "utf-8"
-        if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape") and not kept:
+        if isinstance(stream, io.TextIOWrapper) and _lacks_signs(stream):
             # Names of files that are no text in this encoding, and signs that a console lacks, are told by their codes.
             stream.reconfigure(errors="backslashreplace")
+
+
+def _lacks_signs(stream: io.TextIOWrapper) -> bool:
+    """Whether writing some text to it would end in an error."""
+    utf_8 = codecs.lookup(stream.encoding).name == "utf-8"
+    return stream.errors == "strict" or (stream.errors == "surrogateescape" and not utf_8)
 
 
 def _end(message: str, status: int) -> None:

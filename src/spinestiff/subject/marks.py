@@ -1,4 +1,4 @@
-"""What is marked in a subject's radiographs, held against what they show: where it lies, and which way round it is."""
+"""What is marked in a subject's radiographs, held against what they show, and that no radiograph counts twice."""
 
 from __future__ import annotations
 
