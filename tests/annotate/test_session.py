@@ -24,7 +24,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import read_json
 from spinestiff.imaging.projection import lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
-from spinestiff.study.steps import marked_pedicles
+from spinestiff.study.side_views import marked_pedicles
 from spinestiff.subject.folder import image_corners, push_corners, read_annotation, read_rest, read_subject
 from unannotated import CANARY, MM, drawn
 

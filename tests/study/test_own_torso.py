@@ -12,7 +12,7 @@ from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
 from spinestiff.study.runner import ALL_STEPS
-from spinestiff.study.steps import starting_torso
+from spinestiff.study.starting_torso import starting_torso
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.folder import read_subject
 

@@ -25,7 +25,7 @@ from spinestiff.personalise.pose import align_view
 from spinestiff.study import synthetic
 from spinestiff.study.elastic_supports import SupportStiffness, SyntheticSupports
 from spinestiff.study.recipe import Recipe, SyntheticPush
-from spinestiff.study.steps import followed_view, marked_pedicles, side_views
+from spinestiff.study.side_views import followed_view, marked_pedicles, side_views
 from spinestiff.study.stiffening import Stiffening
 from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE, made_by, subject_torso, synthesise, truth_path
 from spinestiff.study.synthetic_markers import spread_markers

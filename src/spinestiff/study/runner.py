@@ -20,6 +20,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import check_writable, file_digest
 from spinestiff.observer import Observer, heard
 from spinestiff.study import steps as step_functions
+from spinestiff.study.starting_torso import outputs_of_shape
 from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE, RESPONSE_FILE
 from spinestiff.study.visit import Visit
 from spinestiff.subject.program import program, program_of_numbers
@@ -139,7 +140,7 @@ ALL_STEPS: Mapping[str, Step] = {
         (XRAY, BODY, REST_MARKS),
         ("rest",),
         (),
-        step_functions.outputs_of_shape,
+        outputs_of_shape,
         _mesh,
     ),
     "estimate": Step(

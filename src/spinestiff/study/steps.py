@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spinestiff.anatomy.axes import body_axes
-from spinestiff.anatomy.files import read_torso, write_torso
-from spinestiff.anatomy.names import BONES
+from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.regions import AT, expanded, torso_ratios
-from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
-from spinestiff.errors import EquilibriumError, NoMinimum, SubjectError, TrackingError
+from spinestiff.errors import EquilibriumError, NoMinimum
 from spinestiff.estimation.evaluation import FitStep
 from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.estimation.forecast import Forecast
@@ -27,8 +22,6 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.observer import Observer
 from spinestiff.personalise.measured_skin import TrunkSize
-from spinestiff.personalise.pose import posed
-from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
 from spinestiff.study.forecasts import fit_end, forecasts
@@ -47,6 +40,8 @@ from spinestiff.study.predictions import (
     write_solved,
 )
 from spinestiff.study.sensitivity import sensitivity_study
+from spinestiff.study.side_views import marked_pedicles, side_views
+from spinestiff.study.starting_torso import outputs_of_shape, skin_scan, starting_torso, subject_template
 from spinestiff.study.summary import (
     ASSESSMENT_FILE,
     ESTIMATE_FILE,
@@ -64,7 +59,6 @@ from spinestiff.study.written import estimate_record, geometry_record, proposal_
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import (
-    Subject,
     image_corners,
     image_pedicles,
     image_supports,
@@ -72,23 +66,16 @@ from spinestiff.subject.folder import (
     read_identities,
     read_push,
     read_rest,
-    read_view,
 )
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.marker_table import read_markers
 from spinestiff.subject.marks import check_marks
-from spinestiff.subject.outcome_parts import ViewRecord
-from spinestiff.subject.outcomes import FrameProposals, MarkedPedicles, SidePicture, SideView, Tracked, TrackedPush
-from spinestiff.subject.records import PushRecord, SubjectRecord
+from spinestiff.subject.outcomes import FrameProposals, Tracked, TrackedPush
 from spinestiff.subject.run_record import read_outcome, result_path, write_outcome
 from spinestiff.words import counted
 
-if TYPE_CHECKING:
-    from spinestiff.imaging.radiograph import Radiograph
-
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
 USUAL_RATIOS = {"lateral_bending": 0.07, "intervertebral_bending": 0.07, "tissue": 0.04}
-OWN_HEIGHT = 0.1  # share by which an own torso's height may differ from the subject's
 
 
 def track_step(visit: Visit, say: Observer) -> None:
@@ -123,90 +110,6 @@ def track_step(visit: Visit, say: Observer) -> None:
     write_outcome(subject, Tracked(pushes=pushes))
 
 
-def marked_pedicles(subject: Subject, push: PushRecord, view: XRayView) -> list[MarkedPedicles]:
-    """Of the frames of a push in which a person marked any. Raises SubjectError as ``image_pedicles``."""
-    found = []
-    for frame in range(len(push.forces_n)):
-        if push.frame_image(frame) in subject.annotation.images:
-            marked = _pedicles(subject, push.frame_image(frame), view, frame)
-            if marked is not None:
-                found.append(marked)
-    return found
-
-
-def side_views(subject: Subject, push: PushRecord) -> list[SideView]:
-    """The radiographs of a push from other sides, read and with what was marked in them.
-
-    Corners that nobody marked in a radiograph are followed from those of its view that somebody did.
-
-    Raises
-    ------
-    SubjectError, RadiographError : they can't be read, or what was marked is no picture of vertebrae.
-    TrackingError : corners can't be followed.
-    """
-    found = []
-    for record in push.views:
-        radiographs = read_view(subject, push, record)
-        view = posed(radiographs[0].view, np.zeros(2), 0.0, float(np.deg2rad(record.turned_deg)))
-        order = sorted(range(len(record.frames)), key=lambda number: record.frames[number])
-        frames = [record.frames[number] for number in order]
-        names = [push.view_image(frame, record.id) for frame in frames]
-        marked = {
-            number: image_corners(subject, name, view)
-            for number, name in enumerate(names)
-            if name in subject.annotation.images
-        }
-        corners = followed_view(
-            [radiographs[number] for number in order], marked, f"push '{push.id}' view '{record.id}'"
-        )
-        pictures = []
-        for number, (frame, name) in enumerate(zip(frames, names)):
-            said: dict[str, object] = {
-                "frame": frame,
-                "vertebrae": corners[number].vertebrae,
-                "corners_px": view.pixels(corners[number].corners).round(3).tolist(),
-            }
-            if number in marked:
-                said["pedicles"] = _pedicles(subject, name, view, frame)
-            else:
-                said["quality"] = corners[number].quality.round(3).tolist()
-                said["followed_from"] = frames[min(marked, key=lambda other: abs(other - number))]
-            pictures.append(SidePicture.model_validate(said))
-        millimetres = dict(radiographs[0].provenance)
-        found.append(
-            SideView(id=record.id, view=ViewRecord.of(view), millimetres=millimetres, pictures=tuple(pictures))
-        )
-    return found
-
-
-def followed_view(
-    frames: Sequence[Radiograph], marked: Mapping[int, VertebraCorners], label: str
-) -> Sequence[VertebraCorners]:
-    """Corners in each radiograph of a view, in order of the push's frames: as marked, else followed by ``track``.
-
-    Raises
-    ------
-    TrackingError : as ``track``, with what to do.
-    """
-    if len(marked) == len(frames):
-        return [marked[number] for number in range(len(frames))]
-    try:
-        tracked = track(frames, marked)
-    except TrackingError as error:
-        raise TrackingError(f"{label}: {error}; or mark the corners in each of its radiographs") from None
-    # A frame that somebody marked has just what was marked in it.
-    return [marked.get(number, corners) for number, corners in enumerate(tracked)]
-
-
-def _pedicles(subject: Subject, name: str, view: XRayView, frame: int) -> MarkedPedicles | None:
-    names, points = image_pedicles(subject, name, view)
-    if not names:
-        return None
-    return MarkedPedicles.model_validate(
-        {"frame": frame, "vertebrae": names, "centres_px": view.pixels(points).round(3).tolist()}
-    )
-
-
 def frames_step(visit: Visit, say: Observer) -> None:
     """Judge every frame and propose its role; writes ``frames.json`` and ``frames.png``."""
     from spinestiff.study.report.figures import as_png
@@ -234,19 +137,6 @@ def response_step(visit: Visit, say: Observer) -> None:
         say(line)
     write_text(visit.file(RESPONSE_FILE), response_csv(responses))
     write_outcome(visit.subject, responses)
-
-
-def subject_template(record: SubjectRecord, mesh: str) -> TorsoModel:
-    """The torso that a subject's radiographs shape: of the subject's own sizes where the mass is known, else the
-    reference body scaled to the height.
-
-    Raises
-    ------
-    TorsoError : the template has no body of this age and mass.
-    """
-    if record.mass_kg is None:
-        return template_torso(record.height_cm, mesh)
-    return template_torso(record.height_cm, mesh, age_years=record.age, sex=record.sex, mass_kg=record.mass_kg)
 
 
 def personalise_step(visit: Visit, say: Observer) -> None:
@@ -284,51 +174,6 @@ def personalise_step(visit: Visit, say: Observer) -> None:
 
         draw_scan(shaped.torso, shaped.scan.points, visit.file("skin_scan.png"))
     write_outcome(subject, geometry_record(shaped, provenance))
-
-
-def outputs_of_shape(visit: Visit) -> tuple[str, ...]:
-    """The files that ``personalise_step`` writes for this visit."""
-    found = ["torso.npz", GeometryRecord.FILE]
-    if visit.subject.scan_path:
-        found.append("skin_scan.png")
-    if visit.subject.torso_path is None and visit.settings.mesh == "fine":
-        found.append(START)
-    return tuple(found)
-
-
-def skin_scan(visit: Visit) -> SkinScan | None:
-    """The subject's skin scan in mm along the body's axes, if there is one.
-
-    Raises
-    ------
-    SubjectError : it can't be read, or its stated unit or axes contradict the body.
-    """
-    record, path = visit.subject.record.skin_scan, visit.subject.scan_path
-    if record is None or path is None:
-        return None
-    axes = body_axes(record.axes.left, record.axes.up, record.axes.front)
-    return read_scan(path, record.unit, axes, visit.subject.record.height_cm)
-
-
-def starting_torso(visit: Visit) -> TorsoModel:
-    """The torso that is shaped to the radiographs: of the subject's own bones, or the template.
-
-    Raises
-    ------
-    SubjectError : the own torso isn't of the subject's height or bones.
-    """
-    record, own = visit.subject.record, visit.subject.torso_path
-    if own is None:
-        return subject_template(record, visit.settings.mesh)
-    torso = read_torso(own)
-    if torso.bone_names != BONES:
-        raise SubjectError(f"{own}: has {len(torso.bone_names)} bones; wanted the 49 of spinestiff torso import")
-    if not abs(torso.height_cm / record.height_cm - 1.0) < OWN_HEIGHT:
-        raise SubjectError(
-            f"{own}: is of a body of {torso.height_cm:.0f} cm, but subject.json says {record.height_cm:g} cm; "
-            "import it with --height, or use the right bones"
-        )
-    return torso
 
 
 def estimate_step(visit: Visit, say: Observer) -> None:

@@ -28,7 +28,8 @@ from spinestiff.observer import Observer
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.pose import align_view
 from spinestiff.study.runner import ALL_STEPS, Step
-from spinestiff.study.steps import outputs_of_shape, personalise_step
+from spinestiff.study.starting_torso import outputs_of_shape
+from spinestiff.study.steps import personalise_step
 from spinestiff.study.visit import START, Visit
 from spinestiff.subject.folder import image_corners, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
