@@ -587,6 +587,8 @@ def test_bad_folders_are_refused_at_once(spinestiff, subject, case, command):
         (("demo", "--acquisition", "mine"), "--acquisition mine: wanted planned or paper"),
         (("synth", "new", "--spine", "t.csv"), "--spine and --spine-id belong together"),
         (("demo", "--out", "new", "--spine-id", "a"), "--spine and --spine-id belong together"),
+        (("synth", "new", "--spine", "t.csv", "--spine-id", "a", "--cobb", "30"), "--cobb 30.0: the table of --spine"),
+        (("demo", "--spine", "t.csv", "--spine-id", "a", "--curve", "lumbar"), "--curve lumbar: the table of --spine"),
         (("demo", "--out", "new", "--ratios", "soft"), "--ratios soft"),
     ],
 )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import pytest
@@ -224,6 +226,17 @@ def test_a_dose_counts_lateral_radiographs_as_they_are(spinestiff, subject):
     ran = spinestiff("plan", subject, *options, "--views", "frontal+lateral")
     assert ran.status == 2
     assert ran.lines == ["spinestiff: exposures for 5.5 frontal radiographs; a push seen as frontal+lateral takes 7"]
+
+
+def test_results_that_can_not_be_written_are_told_before_anything_is_done(spinestiff, subject, monkeypatch):
+    def refuse(self, *args, **kwargs):
+        raise OSError(errno.EROFS, "x", str(self))
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    monkeypatch.setattr("spinestiff.app.plan.scene_of", lambda visit: pytest.fail("planned"))
+    ran = spinestiff("plan", subject)
+    assert ran.status == 2
+    assert "results: can't be written (the file system is read-only), but results go there" in ran.lines[-1]
 
 
 def test_a_force_that_no_gauge_reads_is_refused_before_anything_is_done(spinestiff, tmp_path):

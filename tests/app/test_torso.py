@@ -87,9 +87,9 @@ def test_a_subject_folder_stands_for_its_torso(subject, tmp_path):
     assert "note: of default stiffness; --draws 0 with --out, a new folder, writes the estimated one" in told
     own = subject / "results" / "torso.npz"
     for place, found in ((own, "this command reads it"), (subject / "s.vtu", "lies among the inputs")):
-        assert found in refusal("export", subject, "--out", place, "--force")
+        assert found in refusal("export", subject, "--format", "vtu", "--out", place, "--force")
     assert "is there already" in refusal("export", "--out", tmp_path / "s.vtu")
-    assert "this command reads it" in refusal("export", own, "--out", own, "--force")
+    assert "this command reads it" in refusal("export", own, "--format", "vtu", "--out", own, "--force")
     record = read_json(subject / "subject.json")
     write_json(subject / "subject.json", {**record, "height_cm": 158.0})
     words = r"torso\.npz: was made before subject\.json: body changed; run spinestiff personalise again"
@@ -102,6 +102,19 @@ def test_a_subject_folder_stands_for_its_torso(subject, tmp_path):
     assert f"torso.npz: no such file; run the step that makes it first (spinestiff personalise {subject})" in refusal(
         "show", subject
     )
+
+
+def test_the_format_is_what_the_ending_says(tmp_path):
+    assert "for any 3-D viewer" in said("export", "--out", tmp_path / "t.GLB")
+    assert (tmp_path / "t.GLB").read_bytes()[:4] == b"glTF"
+    assert "for 3D Slicer" in said("export", "--out", tmp_path / "t.mrk.json")
+    assert "for MuJoCo" in said("export", "--format", "mjcf", "--out", tmp_path / "model")
+    for options, words in (
+        (("--format", "vtu", "--out", "t.glb"), "--out t.glb: ends as a file of format glb, and --format is vtu"),
+        (("--out", "t.stl"), "--out t.stl: its ending names no format; wanted one of .vtu, .glb, .osim, .xml, .feb"),
+        (("--format", "stl", "--out", "t.stl"), "unknown format 'stl'"),
+    ):
+        assert words in refusal("export", *options)
 
 
 def test_draws_of_a_subject_go_into_a_new_folder(subject, tmp_path):

@@ -277,6 +277,9 @@ def test_pictures_that_do_not_fit_are_refused(folder, record) -> None:
         read_phantom(folder)
     with pytest.raises(SubjectError, match=r"corners.csv: rest: corners in mm; wanted pixels"):
         analyse(record, [replace(image, unit="mm") for image in seen])
+    mirrored = replace(seen[1], corners=seen[1].corners[:, [1, 0, 3, 2]])
+    with pytest.raises(SubjectError, match=r"corners.csv: T12 right 4: corners of T12 are mirrored"):
+        analyse(record, [seen[0], mirrored, *seen[2:]])
 
 
 def test_a_held_out_picture_without_a_block_of_the_one_at_rest_is_refused(record) -> None:

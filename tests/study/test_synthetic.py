@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -361,6 +363,23 @@ def test_a_folder_in_use_is_refused_untouched(twins, tiny):
     with pytest.raises(SubjectError, match="is not empty; choose another folder, nothing was written"):
         synthesise(twins[0], tiny)
     assert digests(twins[0]) == before
+
+
+@pytest.mark.parametrize("closed", ["new", ""])
+def test_a_place_that_can_not_be_written_is_refused_before_any_work(tiny, tmp_path, monkeypatch, closed):
+    """The folder itself, and that in which the truth goes."""
+    touch = Path.touch
+
+    def refuse(self, *args, **kwargs):
+        if self.parent == tmp_path / closed:
+            raise OSError(errno.EROFS, "x", str(self))
+        touch(self, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    monkeypatch.setattr(synthetic, "subject_torso", lambda *args: pytest.fail("shaped"))
+    place = re.escape(str(tmp_path / closed))
+    with pytest.raises(SubjectError, match=rf"^{place}: can't be written \(the file system is read-only\)"):
+        synthesise(tmp_path / "new", tiny)
 
 
 def test_made_by_tells_the_same_recipe_from_another(twins, tiny, tmp_path):

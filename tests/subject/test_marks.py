@@ -5,7 +5,9 @@ from __future__ import annotations
 import shutil
 
 import pytest
+from typer.testing import CliRunner
 
+from spinestiff.app.cli import app
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study import steps
@@ -66,6 +68,19 @@ def test_support_points_out_of_the_picture_are_refused_before_corners_are_follow
     with pytest.raises(SubjectError, match=words) as refused:
         run_steps(open_visit(girl))
     assert [one.reason for one in inspect(girl) if one.reason] == [str(refused.value)]
+
+
+def test_a_wrong_table_of_markers_is_refused_before_corners_are_followed(girl, monkeypatch):
+    monkeypatch.setattr(steps, "track", lambda *args, **kwargs: pytest.fail("followed"))
+    content = read_json(girl / "subject.json")
+    axes = {"left": "+x", "up": "+y", "front": "+z"}
+    content["pushes"][1]["markers"] = {"file": "skin.csv", "unit": "mm", "axes": axes, "side": "front", "shown": {"a": [9.0, 9.0]}}
+    write_json(girl / "subject.json", content)
+    (girl / "skin.csv").write_text("marker,frame,x,y,z\na,0,1,2,3\n")
+    words = r"skin\.csv: found 1 marker, wanted 3 to 60"
+    with pytest.raises(SubjectError, match=words):
+        run_steps(open_visit(girl))
+    assert "skin.csv: found 1 marker" in CliRunner().invoke(app, ["inspect", str(girl)]).output
 
 
 def test_a_radiograph_counts_in_one_push_alone(girl, monkeypatch):

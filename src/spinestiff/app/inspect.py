@@ -44,8 +44,8 @@ def show_inspection(path: Path, as_json: bool) -> None:
 
 
 def _odd_settings(folder: Path) -> Iterator[Inspection]:
-    """What the steps would refuse of a subject each of whose radiographs they take: priors, population, a radiograph
-    that counts twice, body, torso, scan."""
+    """What the steps would refuse of a subject each of whose radiographs they take: priors, population, markers, a
+    radiograph that counts twice, body, torso, scan."""
     from spinestiff.study.starting_torso import skin_scan, starting_torso
     from spinestiff.study.visit import open_visit
     from spinestiff.subject.inspection import Inspection

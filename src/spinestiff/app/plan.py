@@ -8,7 +8,7 @@ from typing import Any
 
 from spinestiff.app import tables
 from spinestiff.errors import OptionError, SpinestiffError
-from spinestiff.files import write_bytes, write_text
+from spinestiff.files import check_writable, write_bytes, write_text
 from spinestiff.formats import plain_number
 from spinestiff.observer import Observer, heard
 from spinestiff.study.planning.proposal import make_plan
@@ -124,6 +124,7 @@ def plan_next(visit: Visit, wish: Wish, observer: Observer | None) -> Plan:
     ------
     SpinestiffError : see ``planning.proposal.make_plan`` and ``planning.scene.scene_of``; also for unwritable files.
     """
+    check_writable(visit.subject.results, "results")
     if "personalise" not in recorded_steps(visit.subject):
         run_steps(visit, ("personalise",), observer)
     say = heard(observer, _log)

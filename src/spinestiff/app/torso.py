@@ -23,6 +23,8 @@ from spinestiff.app.options import (
 )
 from spinestiff.errors import TorsoError
 
+USUAL_FORMAT = "vtu"
+
 torso = typer.Typer(
     name="torso", help="Torsos of one's own bones, and torsos for other programs.", no_args_is_help=True,
     rich_markup_mode=None,
@@ -124,13 +126,13 @@ def import_(
 def export(
     file: TorsoFile = None,
     kind: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--format",
-            help="vtu, glb, osim, mjcf, feb or mrk.",
+            help="vtu, glb, osim, mjcf, feb or mrk; by the ending of --out if left out, else vtu.",
             autocompletion=offering("vtu", "glb", "osim", "mjcf", "feb", "mrk"),
         ),
-    ] = "vtu",
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="The file to write; torso with the format's ending if left out.")
     ] = None,
@@ -159,13 +161,12 @@ def export(
         given = [name for name, value in {**sizes, "mesh": mesh, "force": force or None}.items() if value is not None]
         if given:
             raise TorsoError(f"--draws are of a subject's own torso, into a new folder; leave out --{given[0]}")
-        _export_drawn(file, kind, out, draws)
+        _export_drawn(file, kind or USUAL_FORMAT, out, draws)
         return
     from spinestiff.anatomy.export import FORMATS, export_torso
     from spinestiff.subject.folder import check_output_apart, check_output_beside
 
-    if kind not in FORMATS:
-        raise TorsoError(f"unknown format '{kind}'; known are {', '.join(FORMATS)}")
+    kind = _format(kind, out)
     chosen = FORMATS[kind]
     path = out or Path(f"torso{chosen.suffix}")
     if file is not None and file.is_dir():
@@ -177,6 +178,28 @@ def export(
     typer.echo(f"{path}: for {chosen.purpose}; leaves out or changes: {chosen.leaves_out}")
     if file is not None and file.is_dir() and chosen.has_stiffness:
         typer.echo("note: of default stiffness; --draws 0 with --out, a new folder, writes the estimated one")
+
+
+def _format(kind: str | None, out: Path | None) -> str:
+    """The format that --format and the ending of --out name.
+
+    Raises
+    ------
+    TorsoError : an unknown format; they name two; neither names one.
+    """
+    from spinestiff.anatomy.export import FORMATS
+
+    if kind is not None and kind not in FORMATS:
+        raise TorsoError(f"unknown format '{kind}'; known are {', '.join(FORMATS)}")
+    if out is None:
+        return kind or USUAL_FORMAT
+    named = [name for name, one in FORMATS.items() if out.name.lower().endswith(one.suffix)]
+    if kind is None and not named:
+        endings = ", ".join(one.suffix for one in FORMATS.values())
+        raise TorsoError(f"--out {out}: its ending names no format; wanted one of {endings}, or --format")
+    if kind is not None and named and kind != named[0]:
+        raise TorsoError(f"--out {out}: ends as a file of format {named[0]}, and --format is {kind}; which one?")
+    return kind or named[0]
 
 
 def _export_drawn(folder: Path | None, kind: str, out: Path | None, draws: int) -> None:

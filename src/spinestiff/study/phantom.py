@@ -23,7 +23,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.corner_files import ImageCorners, read_corners
-from spinestiff.errors import SubjectError
+from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.objective import Trial
@@ -351,7 +351,11 @@ def _trial(phantom: Phantom, frame: FrameRecord, image: ImageCorners) -> Trial:
         raise SubjectError(f"{CORNERS_FILE}: {image.image}: corners in mm; wanted pixels")
     # As seen from the front: the phantom's left is on the right of the picture.
     quads = image.corners[:, [1, 0, 3, 2]]
-    corners = VertebraCorners(image.levels, phantom.view.from_pixels(quads))
+    try:
+        corners = VertebraCorners(image.levels, phantom.view.from_pixels(quads))
+        target_features(phantom.torso, phantom.view, corners)
+    except SpinestiffError as problem:
+        raise SubjectError(f"{CORNERS_FILE}: {image.image}: {problem}") from None
     # One gauge and one camera for all frames: they share their errors.
     return Trial(push_on(phantom.torso, frame), corners, phantom.view, image.image, push="bench")
 

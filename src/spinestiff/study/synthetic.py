@@ -28,7 +28,7 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.priors import Priors
-from spinestiff.files import read_json, write_json
+from spinestiff.files import check_writable, read_json, write_json
 from spinestiff.imaging.features import silhouette_shares, state_features, view_kind
 from spinestiff.imaging.pedicles import pedicle_centres
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
@@ -107,6 +107,8 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
         raise SubjectError(f"{folder}: is not empty; choose another folder, nothing was written")
     if os.path.lexists(truth_path(folder)):
         raise SubjectError(f"{truth_path(folder)}: is there already; choose another folder, nothing was written")
+    check_writable(folder, "radiographs, force log and annotation")
+    check_writable(folder.parent, "the subject and its truth")
     say = heard(observer, logging.getLogger(__name__))
     random = np.random.default_rng(recipe.seed)
     say("shaping the torso")

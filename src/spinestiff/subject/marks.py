@@ -19,16 +19,18 @@ from spinestiff.subject.folder import (
     read_rest,
     read_view,
 )
+from spinestiff.subject.marker_table import read_markers
 from spinestiff.subject.records import SUBJECT_FILE, PushRecord
 
 
 def check_marks(subject: Subject) -> None:
-    """Read each radiograph of a subject and raise SubjectError for what no step takes of the marks in it.
+    """Read each radiograph and each table of markers of a subject, and raise SubjectError for what no step takes of
+    what is marked.
 
     Raises
     ------
     SubjectError : as ``folder.image_corners``, ``image_pedicles`` and ``image_supports``; radiographs of another number
-        or kind, or one that two pushes use under load.
+        or kind, or one that two pushes use under load; as ``marker_table.read_markers``.
     RadiographError : a radiograph that can't be read.
     """
     for which in subject.rest_views:
@@ -37,6 +39,7 @@ def check_marks(subject: Subject) -> None:
     for push in subject.pushes:
         frames = open_push(subject, push)
         check_marks_in(subject, frame_names(push), frames[0].view)
+        read_markers(subject, push, frames[0].view)
         _check_own(subject, push, frames, seen)
         for view in push.views:
             names = tuple(push.view_image(frame, view.id) for frame in view.frames)

@@ -70,13 +70,16 @@ RefitMesh = Annotated[
 Seed = Annotated[int, typer.Option(help="Of everything random.")]
 Height = Annotated[float, typer.Option(callback=within("cm", height_limits), help="Body height, cm.")]
 Cobb = Annotated[
-    float,
-    typer.Option(callback=within("degrees", cobb_limits), help="Rest curve, degrees; above 0 is convex to the left."),
+    float | None,
+    typer.Option(
+        callback=within("degrees", cobb_limits),
+        help="Rest curve, degrees; above 0 is convex to the left; 12 if left out.",
+    ),
 ]
 Curve = Annotated[
-    str,
+    str | None,
     typer.Option(
-        help="thoracic, thoracolumbar, lumbar or double.",
+        help="thoracic, thoracolumbar, lumbar or double; thoracic if left out.",
         autocompletion=offering("thoracic", "thoracolumbar", "lumbar", "double"),
     ),
 ]

@@ -32,8 +32,8 @@ def synth(
     folder: Annotated[Path, typer.Argument(help="New subject folder; the truth goes beside it.")],
     seed: Seed = 0,
     height: Height = 157.0,
-    cobb: Cobb = 12.0,
-    curve: Curve = "thoracic",
+    cobb: Cobb = None,
+    curve: Curve = None,
     force: PushForce = 60.0,
     ratios: Ratios = None,
     spine: Spine = None,
@@ -60,8 +60,8 @@ def demo(
     out: Annotated[Path, typer.Option(help="Where the synthetic subject goes.")] = Path("spinestiff-demo"),
     seed: Seed = 0,
     height: Height = 157.0,
-    cobb: Cobb = 12.0,
-    curve: Curve = "thoracic",
+    cobb: Cobb = None,
+    curve: Curve = None,
     force: PushForce = 60.0,
     ratios: Ratios = "0.10,0.04",
     spine: Spine = None,
@@ -83,8 +83,8 @@ def demo(
 def recipe_of(
     seed: int,
     height: float,
-    cobb: float,
-    curve: str,
+    cobb: float | None,
+    curve: str | None,
     force: float,
     ratios: str | None,
     spine: Path | None,
@@ -96,6 +96,9 @@ def recipe_of(
 
     if (spine is None) != (spine_id is None):
         raise SubjectError("--spine and --spine-id belong together; give both or none")
+    for option, given in {"--cobb": cobb, "--curve": curve}.items():
+        if spine is not None and given is not None:
+            raise SubjectError(f"{option} {given}: the table of --spine has the rest shape; give one of the two")
     chosen = None
     if ratios is not None:
         found = [plain_number(part) for part in ratios.split(",")]
@@ -105,4 +108,6 @@ def recipe_of(
     real = None if spine is None or spine_id is None else (spine, spine_id)
     if acquisition not in ACQUISITIONS:
         raise SubjectError(f"--acquisition {acquisition}: wanted {' or '.join(ACQUISITIONS)}")
-    return Recipe(seed, height, cobb, curve, force, chosen, real, ACQUISITIONS[acquisition])
+    degrees = Recipe.cobb_deg if cobb is None else cobb
+    kind = Recipe.curve if curve is None else curve
+    return Recipe(seed, height, degrees, kind, force, chosen, real, ACQUISITIONS[acquisition])
