@@ -133,7 +133,7 @@ def test_the_noise_of_the_corners_is_that_of_the_angle(definition):
 def test_the_default_noise_follows_the_vertebrae():
     assert read_cobb(image(TRIPLE, width=120.0)).noise == pytest.approx(2.4)
     assert read_cobb(image(TRIPLE, width=6.0, height=4.0)).noise == pytest.approx(0.3)
-    assert read_cobb(image(TRIPLE, width=6.0, height=4.0, unit="mm")).noise == pytest.approx(0.12)
+    assert read_cobb(image(TRIPLE, width=6.0, height=4.0, unit="mm", first_on="right")).noise == pytest.approx(0.12)
     tiny = read_cobb(image(TRIPLE, width=1.0, height=1.0))
     assert tiny.status == "ok" and tiny.largest.sd_deg > 20.0
     assert "so small that corner noise makes" in tiny.warnings[-1]

@@ -330,12 +330,21 @@ def test_an_annotation_keeps_what_is_not_written(tmp_path):
         ([image()], "a.xlsx", "wanted a name that ends in"),
         ([image()], "annotation.json", "on which side of the image the patient's left lies is not known"),
         ([image(unit="unstated", first_on="left")], "annotation.json", "not known to be in pixels"),
+        ([image(unit="unstated")], "a.csv", r"a: corners in pixels are wanted for a CSV \(unit: unstated\)"),
+        ([image(unit="mm", first_on="right")], "a.csv", r"CSV \(unit: mm\); write a \.mrk\.json"),
     ],
 )
 def test_what_a_format_cannot_hold_is_not_written(tmp_path, images, name, words):
     with pytest.raises(SubjectError, match=words):
         write_corners(tmp_path / name, images)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("side", ["left", None])
+def test_corners_in_mm_have_the_patients_left_on_the_right(side):
+    """As a markups file has them: written to one and read again, a curve would change its side."""
+    with pytest.raises(SubjectError, match="a: corners in mm are of LPS, with the patient's left on the right"):
+        image(unit="mm", first_on=side)
 
 
 def test_an_annotation_that_would_be_refused_leaves_the_old_file(tmp_path):

@@ -139,6 +139,25 @@ def test_eq4_a_column_stands_below_its_critical_load_and_is_a_saddle_above():
     assert problem.solve(weight, start=found.state).status is SolveStatus.SADDLE
 
 
+@pytest.mark.parametrize(("soft", "stiffness"), [(40, 100.0), (12, 1000.0), (12, 1.0)])
+def test_a_stiff_column_that_topples_beside_soft_ones_is_seen_from_a_tangent_too(soft, stiffness):
+    """Begun at a tangent, the end is probed by a few products with it: the one stiff motion has to show there."""
+    count = soft + 2
+    places = np.zeros((count, 3))
+    places[1:, 0] = 30.0 * np.arange(1, count)
+    joints = np.tile([1e3, 1e3, 1e3, 1e6, 1e6, 4e3], (count - 1, 1))
+    joints[-1] *= stiffness
+    torso = make_torso(places, [(0, i) for i in range(1, count)], joints)
+    held = np.zeros((count, 6), dtype=bool)
+    held[0] = True
+    problem = EquilibriumProblem(torso, holds(held))
+    weights = np.append(np.linspace(-2.0, 0.9, soft) * 80.0, 1.05 * 80.0 * stiffness)
+    tops = np.tile([0.0, 50.0, 0.0], (count - 1, 1)) + torso.joints.child_position
+    load = LoadCase(PointsOnBones(np.arange(1, count), tops), np.outer(weights, [0.0, -1.0, 0.0]))
+    start = problem.linearise(problem.solve(no_load()), no_load())
+    assert problem.solve(load, start=start).status is SolveStatus.SADDLE
+
+
 def test_once_a_tangent_was_indefinite_steps_lower_the_energy_and_arrive():
     """Mixed steps ran up and down here, 45 projected tangents in 60 iterations."""
     torso = toy_torso(2, 10)

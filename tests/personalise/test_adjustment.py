@@ -15,6 +15,7 @@ from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.personalise.adjustment import _System, adjust
 from spinestiff.personalise.image_terms import Shape, image_points, shape_of
+from spinestiff.personalise.placing import pulled
 from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs
 
 VIEWS = (frontal_view(shape=(1536, 1024)), lateral_view(shape=(1536, 1024)))
@@ -172,6 +173,18 @@ def test_an_unusual_vertebra_is_no_wrong_one(template, prior, girl):
     places[11] += 15.0 * girl.rotations[11, :, 1]
     odd = replace(girl, positions=places)
     found = adjust(pictures(template, odd, 0.5), prior, start(template), KNOWN, KNOWN)
+    assert min(weights.min() for weights in found.weights) > 0.1
+    assert centre_errors(found, odd).max() < 1.2
+
+
+def test_nor_is_it_under_a_prior_around_a_moved_state(template, girl):
+    """Such a prior has a slope, which its density is normalised by as well."""
+    problem = EquilibriumProblem(template, pelvis_on_springs(template, frontal=True))
+    places = girl.positions.copy()
+    places[11] += 15.0 * girl.rotations[11, :, 1]
+    odd = replace(girl, positions=places)
+    there = elastic_prior(problem, pulled(problem, template.rest_pose, odd.positions, odd.rotations, (1e2, 1e4)))
+    found = adjust(pictures(template, odd, 0.5), there, odd, KNOWN, KNOWN)
     assert min(weights.min() for weights in found.weights) > 0.1
     assert centre_errors(found, odd).max() < 1.2
 

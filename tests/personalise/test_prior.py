@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -85,6 +88,34 @@ def test_away_from_rest_it_pulls_back(problem, prior):
     reached = Shape(state.bone_positions[bones], state.bone_rotations[bones], *[np.zeros((17, 3))] * 3)
     wanted = prior.slope(reached)
     assert np.linalg.norm(there.gradient - wanted) < 0.05 * np.linalg.norm(wanted)
+
+
+def around(prior, seed):
+    """The prior with another middle, of which it has a slope."""
+    gradient = 5.0 * np.sqrt(np.diag(prior.hessian)) * np.random.default_rng(seed).normal(size=102)
+    return replace(prior, gradient=gradient)
+
+
+def test_its_slope_is_the_energys_derivative_however_far_a_vertebra_turns(problem, prior):
+    prior, random = around(prior, 1), np.random.default_rng(2)
+    rest = shape_of(problem.torso, problem.torso.rest_pose)
+    there = displaced(rest, random.normal(0.0, 5.0, (17, 3)), random.normal(0.0, 0.4, (17, 3)))
+    slope, step = prior.slope(there), 1e-5
+    for unknown in range(102):
+        way = np.zeros((17, 6))
+        way.flat[unknown] = step
+        ends = [prior.energy(displaced(there, sign * way[:, :3], sign * way[:, 3:])) for sign in (1.0, -1.0)]
+        assert (ends[0] - ends[1]) / (2.0 * step) == pytest.approx(slope[unknown], rel=1e-5, abs=1e-6)
+
+
+def test_its_norm_makes_a_density_of_it(problem, prior):
+    rest = shape_of(problem.torso, problem.torso.rest_pose)
+    for one in (prior, around(prior, 3), around(replace(prior, hessian=2.0 * prior.hessian), 4)):
+        middle = -np.linalg.solve(one.hessian, one.gradient)
+        moved = np.random.default_rng(5).normal(size=(17, 6)) * [1.0, 1.0, 1.0, 0.03, 0.03, 0.03]
+        density = multivariate_normal(middle, np.linalg.inv(one.hessian)).logpdf(moved.ravel())
+        place = displaced(rest, moved[:, :3], moved[:, 3:])
+        assert one.energy(place) + one.norm == pytest.approx(-density - 51.0 * np.log(2.0 * np.pi), rel=1e-9)
 
 
 def test_one_vertebra_let_go(prior):

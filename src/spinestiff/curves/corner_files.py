@@ -68,13 +68,15 @@ class ImageCorners:
     levels : (V,) vertebrae in the file's order, each once.
     corners : (V, 4, 2) column and row of top left, top right, bottom right and bottom left, as seen in the image.
     source : file and format, for messages.
-    unit : of the corners: "px"; "mm" of LPS in a coronal plane; "unstated" = px or mm, the file doesn't tell.
+    unit : of the corners: "px"; "mm" of LPS in a coronal plane, where "first" is on the right; "unstated" = px or mm,
+        the file doesn't tell.
     first_on : the side of the image where "first" is (docs/conventions.md): the patient's left in frontal images, the
         front in lateral ones. None = the file doesn't tell.
 
     Raises
     ------
-    SubjectError : an empty name, no vertebra, unknown or repeated levels, wrong shape, values that are not finite.
+    SubjectError : an empty name, no vertebra, unknown or repeated levels, wrong shape, values that are not finite,
+        corners in mm on another side.
     """
 
     image: str
@@ -101,6 +103,8 @@ class ImageCorners:
         if np.abs(corners).max() > FARTHEST:
             raise SubjectError(f"{self.image}: a corner is more than {FARTHEST:g} from the first pixel")
         object.__setattr__(self, "corners", corners)
+        if self.unit == "mm" and self.first_on != "right":
+            raise SubjectError(f"{self.image}: corners in mm are of LPS, with the patient's left on the right")
 
     @property
     def lateral(self) -> bool:
@@ -220,7 +224,12 @@ def write_corners(path: str | Path, images: Sequence[ImageCorners]) -> None:
 
 
 def csv_text(images: Sequence[ImageCorners]) -> str:
-    """The CSV of these images."""
+    """The CSV of these images. Raises SubjectError for corners that are not known to be in pixels, as a CSV's are."""
+    for image in images:
+        if image.unit != "px":
+            raise SubjectError(
+                f"{image.image}: corners in pixels are wanted for a CSV (unit: {image.unit}); write a {MARKUPS_SUFFIX}"
+            )
     return corner_csv.text(
         (image.image, level, corner, x, y)
         for image in images

@@ -26,7 +26,6 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.assembly import ROTATION_LENGTH
 from spinestiff.mechanics.factor import Factor, symmetric_product
 from spinestiff.mechanics.kinematics import Frame, FrameFactor
 from spinestiff.mechanics.loads import LoadCase
@@ -295,12 +294,13 @@ class Run:
     def _least_ritz(self, at: Point, factor: FrameFactor) -> float:
         """Smallest Ritz value of K0^-1 K: about its smallest eigenvalue, which is above 0 where K is as K0 is.
 
-        The coefficients of conjugate gradients on K with K0 as preconditioner give Lanczos' tridiagonal matrix.
+        The coefficients of conjugate gradients on K with K0 as preconditioner give Lanczos' tridiagonal matrix. They
+        begin with random forces as large as the square root of each unknown's stiffness, so that stiff and soft motions
+        have a like share in them.
         """
         potential, free = self.potential, self.system.free
         pattern, values = potential.pattern, potential.hessian(at.state, self.stiffness, at.terms)
-        size = np.ones(potential.dofs)
-        size[: 6 * potential.bones].reshape(-1, 6)[:, 3:] = ROTATION_LENGTH
+        size = np.sqrt(np.abs(values[pattern.indptr[:-1]]))
         r = at.frame.pull(free(size * np.random.default_rng(0).normal(size=potential.dofs)))
         z = factor.apply(r)
         p, rz = z, float(r @ z)

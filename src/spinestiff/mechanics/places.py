@@ -69,7 +69,8 @@ def place_of_pelvis(torso: TorsoModel, state: TorsoState) -> float:
 def turned_with_pelvis(torso: TorsoModel, state: TorsoState, obliquity: float) -> TorsoState:
     """``state`` turned as a whole about the pelvis' origin until the pelvis stands at ``obliquity``.
 
-    Nothing is strained by that but the supports' springs.
+    Exact where the pelvis is turned about the AP axis alone, as a held one is. Nothing is strained by that but the
+    supports' springs.
     """
     angle = obliquity - place_of_pelvis(torso, state)
     if angle == 0.0:

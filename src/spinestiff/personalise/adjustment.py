@@ -13,8 +13,8 @@ others hold it where they would have it, and so does a whole spine far from the 
 where it leads with next to no prior, from where their own corners put the vertebrae with a corner set aside, then with
 those that all views set aside let go by the prior (one in a hundred is expected to be like that). The most probable
 answer is kept: that of the smallest minus logarithm, with what the points' standard deviations (the logarithm of each
-point's variance: sigma^2, of a pedicle PEDICLE_SD^2 more) and the prior (half the logarithm of its determinant) are
-normalised by. The covariance is the inverse of the Gauss-Newton Hessian at the end.
+point's variance: sigma^2, of a pedicle PEDICLE_SD^2 more) and the prior (``ElasticPrior.norm``) are normalised by. The
+covariance is the inverse of the Gauss-Newton Hessian at the end.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ class _Answer:
 class _System:
     def __init__(self, views: Sequence[ImagePoints], prior: ElasticPrior, pose_sd: Floats, freed: int = 0) -> None:
         self.views, self.prior, self.pose_sd = views, prior, np.asarray(pose_sd, dtype=float)
-        self.norm = -0.5 * float(np.linalg.slogdet(prior.hessian)[1]) - freed * np.log(UNUSUAL)
+        self.norm = prior.norm - freed * np.log(UNUSUAL)
         self.count = len(prior.positions)
         self.free = np.flatnonzero(self.pose_sd.ravel() > 0.0)
         self.own = own_precision(self.count)

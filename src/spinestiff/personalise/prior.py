@@ -1,7 +1,8 @@
 """What is likely before any image is seen: the torso's elastic energy as a function of its vertebrae alone.
 
-Around a state with tangent K and gradient g over all unknowns, of which P picks the vertebrae's, the energy left when
-everything else follows is g_c . d + d . S d / 2 with (static condensation; Guyan 1965)
+Around a state with tangent K, less each part's negative curvature, and gradient g over all unknowns, of which P picks
+the vertebrae's, the energy left when everything else follows is g_c . d + d . S d / 2 with (static condensation; Guyan
+1965)
 
     S = (P K^-1 P^T)^-1,    g_c = S P K^-1 g.
 
@@ -23,6 +24,7 @@ from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.joints import left_jacobian_inverse
 from spinestiff.mechanics.loads import no_load
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
@@ -66,8 +68,19 @@ class ElasticPrior(ShortRepr):
         return float(self.gradient @ moved + 0.5 * moved @ self.hessian @ moved)
 
     def slope(self, shape: Shape) -> Floats:
-        """(6V,) derivative at other poses."""
-        return np.asarray(self.gradient + self.hessian @ self._moved(shape))
+        """(6V,) derivative at other poses, in (dt, dw) there."""
+        moved = self._moved(shape)
+        slope = (self.gradient + self.hessian @ moved).reshape(-1, 6)
+        turned = left_jacobian_inverse(moved.reshape(-1, 6)[:, 3:])
+        slope[:, 3:] = np.einsum("vji,vj->vi", turned, slope[:, 3:])
+        return slope.reshape(-1)
+
+    @property
+    def norm(self) -> float:
+        """Minus the logarithm of what ``exp(-energy)`` is to be multiplied by to be a probability density, but for what
+        all priors of so many vertebrae share: g H^-1 g / 2 - log det(H) / 2."""
+        deepest = 0.5 * float(self.gradient @ np.linalg.solve(self.hessian, self.gradient))
+        return deepest - 0.5 * float(np.linalg.slogdet(self.hessian)[1])
 
     def without(self, vertebra: int) -> ElasticPrior:
         """The same energy with one vertebra free to be anywhere, the others held together through where it may be.
