@@ -113,6 +113,12 @@ class TissueMesh(ShortRepr):
         """(F,) indices of nodes not tied to a bone."""
         return np.flatnonzero(self.bone_of_node < 0)
 
+    @property
+    def deformable(self) -> Ints:
+        """(T',) elements that are not whole in one bone."""
+        tied = self.bone_of_node[self.elements]
+        return np.flatnonzero((tied < 0).any(1) | (tied != tied[:, :1]).any(1)) if len(tied) else np.empty(0, np.int64)
+
     def corner_volumes(self) -> Floats:
         """(T,) mm3, signed volume of each element's four corners."""
         p = self.rest_positions[self.elements[:, :4]]

@@ -1,4 +1,4 @@
-"""How far corners are apart, and how a spine is tilted and curved (paper 5, Tables 2, 5 and 6).
+"""How a spine is tilted and curved (paper 5, Tables 2 and 6).
 
 Tilt of a vertebra or an endplate: the rotation in the frontal plane about the world's z axis, anticlockwise seen from
 the front. So a tilt above 0 means that the patient's left side is higher.

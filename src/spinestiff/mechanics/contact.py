@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
@@ -88,7 +88,7 @@ class OneSidedProblem(EquilibriumProblem):
     ) -> Linearisation:
         """The tangent on the springs that touch; see ``EquilibriumProblem.linearise``."""
         touching = self._touching(equilibrium.state, equilibrium.tolerance)
-        return super(OneSidedProblem, self._with(touching)).linearise(equilibrium, load, ratios)
+        return super(OneSidedProblem, self.with_acting(touching)).linearise(equilibrium, load, ratios)
 
     def solve_linearised(
         self,
@@ -107,7 +107,7 @@ class OneSidedProblem(EquilibriumProblem):
 
     def _solved(self, run: Run, load: LoadCase, start: TorsoState | Linearisation | None) -> Equilibrium:
         def solve(touching: np.ndarray, begin: TorsoState | Linearisation | None) -> Equilibrium:
-            current = self._with(touching)
+            current = self.with_acting(touching)
             # One run for all rounds: what they cost adds up in it.
             run.system = current
             return super(OneSidedProblem, current)._solved(run, load, begin)
@@ -115,9 +115,6 @@ class OneSidedProblem(EquilibriumProblem):
         state = start.state if isinstance(start, Linearisation) else start
         first = self._touching(self.torso.rest_pose if state is None else self.placed(self._checked(state)), 0.0)
         return _settled(self.supports, self.ONE_SIDED, solve, first, start).equilibrium
-
-    def _with(self, touching: np.ndarray) -> Self:
-        return self.with_acting(touching)
 
     def _touching(self, state: TorsoState, tolerance: float) -> np.ndarray:
         """(S,) bool, springs that are pressed in ``state``, or lie on the wall to within a force of ``tolerance``."""

@@ -45,7 +45,7 @@ class EquilibriumProblem(System):
         ----------
         start : a state, or a linearisation near by, whose factor then serves for the first steps.
         observer : sees every iteration; a true answer cancels.
-        max_iterations : of each attempt.
+        max_iterations : of each attempt; descent may take twice as many.
         tolerance : residual to reach, N; default: 1e-10 of the load or 1e-8 N, the larger.
         largest_turn : rad, of a bone from its place at rest; where one turns farther the solve ends as ``FOLDED``.
         most_factorisations : of all attempts together; the solve ends as ``ITERATION_LIMIT`` after the step that has

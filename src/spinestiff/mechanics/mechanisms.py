@@ -428,8 +428,7 @@ def _curvature(torso: TorsoModel, laws: Sequence[Law], stiffness: Stiffness | No
 def _stiff_tissue(torso: TorsoModel, stiffness: Stiffness | None) -> _Tissue:
     """Elements that deform and have a shear stiffness, in pieces that hang together by faces."""
     mesh = torso.tissue
-    tied = mesh.bone_of_node[mesh.elements]
-    deformable = np.flatnonzero((tied < 0).any(1) | (tied != tied[:, :1]).any(1)) if len(tied) else np.empty(0, int)
+    deformable = mesh.deformable
     mu = mesh.lame_mu[deformable] if stiffness is None else stiffness.mu
     elements = mesh.elements[deformable[mu > 0.0]]
     t, n = len(elements), len(mesh.bone_of_node)

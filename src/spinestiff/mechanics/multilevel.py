@@ -124,7 +124,6 @@ class TwoLevelFactor(Factor):
 
     def __init__(self, lower: sp.csc_array, coarse: Factor, prolongation: sp.csr_array, scale: Floats) -> None:
         self._lower, self._coarse, self._p, self._scale = lower, coarse, prolongation, scale
-        self._largest = float(np.abs(lower.data).max(initial=0.0))
         self._diagonal = lower.data[lower.indptr[:-1]]
         self.positive_definite = coarse.positive_definite and bool((self._diagonal > 0.0).all())
         if self.positive_definite:
@@ -149,7 +148,7 @@ class TwoLevelFactor(Factor):
         size = float(np.abs(b).max(initial=0.0))
         if size == 0.0:
             return np.zeros_like(b)
-        x, definite, _ = self._conjugate_gradients(b, max(tolerance, 1e-12) * size, LARGEST_ITERATIONS)
+        x, definite = self._conjugate_gradients(b, max(tolerance, 1e-12) * size, LARGEST_ITERATIONS)
         # The iteration's own residual is a recursion, which loses touch with the true one.
         error = float(np.abs(b - self._product(x)).max())
         if not definite or error > max(tolerance, 1e-8) * size:
@@ -157,7 +156,7 @@ class TwoLevelFactor(Factor):
             raise EquilibriumError(f"the iterative solver found that the stiffness matrix {what}; use a direct solver")
         return x
 
-    def _conjugate_gradients(self, b: Floats, goal: float, limit: int) -> tuple[Floats, bool, float]:
+    def _conjugate_gradients(self, b: Floats, goal: float, limit: int) -> tuple[Floats, bool]:
         x, r = np.zeros_like(b), b.copy()
         p = z = self._precondition(r)
         rz, error = float(r @ z), float(np.abs(b).max())
@@ -167,14 +166,14 @@ class TwoLevelFactor(Factor):
             kp = self._product(p)
             curvature = float(p @ kp)
             if not curvature > 0.0 or not rz > 0.0:
-                return x, False, error
+                return x, False
             x += (rz / curvature) * p
             r -= (rz / curvature) * kp
             error = float(np.abs(r).max())
             z = self._precondition(r)
             last, rz = rz, float(r @ z)
             p = z + (rz / last) * p
-        return x, True, error
+        return x, True
 
     def _precondition(self, r: Floats) -> Floats:
         pointers, rows, data = self._lower.indptr, self._lower.indices, self._lower.data

@@ -13,9 +13,13 @@ from spinestiff.mechanics.joints import JointLaw, joint_gradient_shares, joint_h
 
 class NeutralZone(JointLaw):
     """What turns k theta of some joints into k (theta / theta0)^2 theta beside the law that is there: the energy
-    k theta^4 / (4 theta0^2) in each of the ``columns`` (J, 6) of the joints' table, ``scale`` times as much.
+    k theta^4 / (4 theta0^2) in each of the ``columns``, ``scale`` times as much.
 
-    ``scale`` (J, 6) makes up for the quadratic part's own factor, with which the joints' stiffness comes here.
+    Parameters
+    ----------
+    columns : (J, 6) bool, rotations of the joints' table.
+    theta0 : rad.
+    scale : makes up for the quadratic part's own factor, with which the joints' stiffness comes here.
     """
 
     def __init__(self, joints: JointTable, columns: np.ndarray, theta0: float, scale: float) -> None:
@@ -29,16 +33,18 @@ class NeutralZone(JointLaw):
         return np.hstack([pose.translation, pose.rotation])
 
     def entries(self, state: TorsoState, stiffness: Floats) -> Floats:
-        """(J, 6) N mm."""
+        """(J, 6) N mm, the energy of each."""
         return 0.25 * self.factor * stiffness * self.strains(state) ** 4 / self.theta0**2
 
     def energy(self, at: Place, stiffness: Stiffness) -> tuple[float, float]:
         return float(self.entries(at.state, stiffness.joints).sum()), np.inf
 
     def secant(self, state: TorsoState, stiffness: Stiffness) -> Floats:
+        """(J, 6) stiffness of a linear law with the same moment, N mm/rad."""
         return self.factor * stiffness.joints * self.strains(state) ** 2 / self.theta0**2
 
     def hessians(self, state: TorsoState, stiffness: Stiffness) -> Floats:
+        """(J, 12, 12) in (dt, dw) of parent and child."""
         secant = self.secant(state, stiffness)
         # theta times its slope, for each direction.
         slopes = joint_gradient_shares(self.joints, state, np.ones_like(secant))

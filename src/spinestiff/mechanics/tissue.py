@@ -73,8 +73,7 @@ def element_data(mesh: TissueMesh) -> ElementData:
     ------
     TorsoError : an element is inverted at a quadrature point in the rest shape.
     """
-    tied = mesh.bone_of_node[mesh.elements]
-    deformable = np.flatnonzero((tied < 0).any(1) | (tied != tied[:, :1]).any(1))
+    deformable = mesh.deformable
     elements = mesh.elements[deformable]
     points, weights = QUADRATURE[elements.shape[1]]
     jacobian, reduced = rest_jacobians(mesh.rest_positions, elements, points)

@@ -44,8 +44,7 @@ class MeshQuality:
 def mesh_quality(torso: TorsoModel) -> MeshQuality:
     """The quality of the torso's tissue at rest, of elements that can deform (not whole in one bone)."""
     mesh = torso.tissue
-    tied = mesh.bone_of_node[mesh.elements]
-    deformable = np.flatnonzero((tied < 0).any(1) | (tied != tied[:, :1]).any(1))
+    deformable = mesh.deformable
     if not len(deformable):
         return MeshQuality(1.0, 60.0, 0)
     elements = mesh.elements[deformable]

@@ -81,7 +81,6 @@ class Personalised(ShortRepr):
     prior_only : vertebrae that no radiograph shows.
     carried : vertebra -> its motions (``MOTIONS``) that the prior determines more than its own images do.
     covariance : (6V, 6V) of the vertebrae's (dt mm, dw rad), vertebra by vertebra.
-    prior_share : (V, 6) the prior's share in what is uncertain of each (``adjustment.Adjusted``).
     length_scale : the spine's length over the template's at the given height.
     size_scale : (V, 3) width, height and depth of the vertebrae over the template's at the given height.
     corner_sd_mm : standard deviation of the annotated corners along one axis, from their residuals.
@@ -100,7 +99,6 @@ class Personalised(ShortRepr):
     prior_only: tuple[str, ...]
     carried: Mapping[str, tuple[str, ...]]
     covariance: Floats
-    prior_share: Floats
     length_scale: float
     size_scale: Floats
     corner_sd_mm: float
@@ -108,11 +106,6 @@ class Personalised(ShortRepr):
     mesh: MeshPath = "kept"
     scan: ScanFit | None = None
     warnings: tuple[str, ...] = field(default=())
-
-    @property
-    def vertebra_rmse_mm(self) -> dict[str, dict[str, float]]:
-        """Corner RMSE per view, per vertebra seen."""
-        return {view: {name: fit.rmse_mm for name, fit in found.items()} for view, found in self.fits.items()}
 
 
 def personalise(
@@ -356,7 +349,6 @@ class _Fit:
             prior_only=prior_only,
             carried=carried,
             covariance=final.covariance[np.ix_(rows, rows)],
-            prior_share=final.prior_share,
             length_scale=length,
             size_scale=length * np.exp(final.shape.log_sizes),
             corner_sd_mm=final.corner_sd,

@@ -123,7 +123,7 @@ def frame_along(x: Floats) -> Floats:
     return np.stack([x, y, np.cross(x, y)], -1)
 
 
-def _joint_place(skeleton: Skeleton, parent: str, child: str, kind: str) -> tuple[Floats, Floats]:
+def _joint_place(skeleton: Skeleton, child: str, kind: str) -> tuple[Floats, Floats]:
     # World centre and the X axis of a joint of the left side.
     girdle = skeleton.girdle
     clavicle = girdle.acromioclavicular - girdle.sternoclavicular
@@ -147,7 +147,7 @@ def joint_places(skeleton: Skeleton) -> tuple[Floats, Floats]:
             level = VERTEBRAE.index(joint.child)
             centres[j], axes[j] = skeleton.spine.discs[level], skeleton.spine.disc_rotations[level]
             continue
-        centre, x = _joint_place(skeleton, *joint)
+        centre, x = _joint_place(skeleton, joint.child, joint.kind)
         side = _MIRROR if joint.child.endswith("_R") else 1.0
         centres[j], axes[j] = centre * side, frame_along(x * side)
     return centres, axes
