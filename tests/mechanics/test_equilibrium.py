@@ -15,7 +15,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem, SolveStatus
 from spinestiff.mechanics.loads import LoadCase, no_load, rib_push
-from spinestiff.mechanics.newton import Point, Run
+from spinestiff.mechanics.newton import Iterate, Run
 from spinestiff.mechanics.places import SupportPlace
 from spinestiff.mechanics.supports import SupportKind, three_point_supports
 from spinestiff.mechanics.terms import TermBlocks
@@ -176,7 +176,7 @@ def test_once_a_tangent_was_indefinite_steps_lower_the_energy_and_arrive():
 def test_a_second_indefinite_tangent_gets_half_of_the_projection_and_steps_farther():
     problem, weight = _column(1.5)
     run = Run(problem, None, None, 60, None)
-    at = Point(run, weight, problem.torso.rest_pose)
+    at = Iterate(run, weight, problem.torso.rest_pose)
     force = np.zeros(problem.potential.dofs)
     force[11] = 1.0
     first, second = (run._factor(at, run._hessian(at)) for _ in range(2))

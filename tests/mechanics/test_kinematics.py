@@ -12,7 +12,8 @@ from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.template import template_torso
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.joints import joint_pose
-from spinestiff.mechanics.kinematics import FrameFactor, Kinematics, _polar
+from spinestiff.mechanics.kinematics import Kinematics, _polar
+from spinestiff.mechanics.quasi_newton import FrameFactor
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.verification.equilibria import toy_load, toy_supports
 from spinestiff.verification.models import shaken, toy_torso

@@ -6,7 +6,7 @@ import numpy as np
 
 from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.mechanics.assembly import Place
+from spinestiff.mechanics.assembly import Configuration
 from spinestiff.mechanics.neutral_zone import NeutralZone
 from spinestiff.mechanics.potential import Potential
 from spinestiff.verification.models import toy_torso
@@ -23,11 +23,11 @@ def test_derivatives_are_those_of_its_energy() -> None:
 
     def gradient(at):
         found = np.zeros(potential.dofs)
-        law.add_gradient(Place(unknowns, at), stiffness, found)
+        law.add_gradient(Configuration(unknowns, at), stiffness, found)
         return found
 
     def energy(t):
-        return law.energy(Place(unknowns, retract(state, t * step)), stiffness)[0]
+        return law.energy(Configuration(unknowns, retract(state, t * step)), stiffness)[0]
 
     np.testing.assert_allclose((energy(h) - energy(-h)) / (2 * h), gradient(state) @ step, rtol=1e-6)
     # The same potential with and without the law; second derivative along the step.

@@ -10,7 +10,7 @@ from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import StiffnessRatios, parameter_group, stiffness_ratios
 from spinestiff.mechanics import joints as joint_law
 from spinestiff.mechanics import tissue as tissue_law
-from spinestiff.mechanics.assembly import Law, Place, build_pattern
+from spinestiff.mechanics.assembly import Configuration, Law, build_pattern
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, no_load
 from spinestiff.mechanics.potential import Potential
@@ -219,7 +219,9 @@ def test_a_law_of_ones_own_takes_part_in_energy_gradient_hessian_and_solve(case)
     potential = Potential(torso, [law])
     stiffness = potential.stiffness(None)
     with_it, without = (p.energy(state, stiffness, terms)[0] for p in (potential, plain))
-    assert with_it - without == pytest.approx(law.energy(Place(potential.unknowns, state), stiffness)[0], rel=1e-9)
+    assert with_it - without == pytest.approx(
+        law.energy(Configuration(potential.unknowns, state), stiffness)[0], rel=1e-9
+    )
     direction = np.random.default_rng(6).normal(size=potential.dofs)
     direction[: 6 * potential.bones].reshape(-1, 6)[:, 3:] *= 0.03
     h = 2e-4

@@ -63,7 +63,7 @@ class Unknowns:
         return values[6 * self.bones :].reshape(-1, 3)
 
 
-class Place:
+class Configuration:
     """A state with what several laws need of it.
 
     Attributes
@@ -199,15 +199,17 @@ class Law(ABC):
         return np.empty((0, 2), dtype=np.int64)
 
     @abstractmethod
-    def energy(self, at: Place, stiffness: Stiffness) -> tuple[float, float]:
+    def energy(self, at: Configuration, stiffness: Stiffness) -> tuple[float, float]:
         """Energy, N mm, and the smallest volume ratio J (infinite where there is no volume); infinite for J <= 0."""
 
     @abstractmethod
-    def add_gradient(self, at: Place, stiffness: Stiffness, gradient: Floats) -> None:
+    def add_gradient(self, at: Configuration, stiffness: Stiffness, gradient: Floats) -> None:
         """Add the derivative in the unknowns to ``gradient`` (dofs,)."""
 
     @abstractmethod
-    def add_hessian(self, at: Place, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool) -> None:
+    def add_hessian(
+        self, at: Configuration, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool
+    ) -> None:
         """Add the second derivative; ``offsets`` (n,) are those of ``pairs``; ``project``: no negative curvature."""
 
 
@@ -215,12 +217,14 @@ class ScaledLaw(Law):
     """A law whose stiffnesses are scaled by ratios: each group's share of its force is known by itself."""
 
     @abstractmethod
-    def add_shares(self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats) -> None:
+    def add_shares(
+        self, at: Configuration, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats
+    ) -> None:
         """Add d gradient / d log ratio of each group to ``columns`` (dofs, P), contiguous in a column."""
 
     @abstractmethod
     def share_products(
-        self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
+        self, at: Configuration, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
     ) -> Floats:
         """(P,) the columns of ``add_shares`` times ``direction`` (dofs,)."""
 

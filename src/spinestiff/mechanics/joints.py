@@ -24,7 +24,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup
 from spinestiff.anatomy.torso import JointTable
 from spinestiff.arrays import Floats, Ints
-from spinestiff.mechanics.assembly import Place, ScaledLaw, Stiffness, Tangent, Unknowns, positive_part
+from spinestiff.mechanics.assembly import Configuration, ScaledLaw, Stiffness, Tangent, Unknowns, positive_part
 
 # Local DoF order of a joint: parent dt, dw, child dt, dw.
 PARENT_T, PARENT_W, CHILD_T, CHILD_W = (slice(3 * i, 3 * i + 3) for i in range(4))
@@ -111,13 +111,15 @@ class JointLaw(ScaledLaw):
     def pairs(self, unknowns: Unknowns) -> Ints:
         return np.stack([self.joints.parent, self.joints.child], 1)
 
-    def energy(self, at: Place, stiffness: Stiffness) -> tuple[float, float]:
+    def energy(self, at: Configuration, stiffness: Stiffness) -> tuple[float, float]:
         return float(joint_energies(self.joints, at.state, stiffness.joints).sum()), np.inf
 
-    def add_gradient(self, at: Place, stiffness: Stiffness, gradient: Floats) -> None:
+    def add_gradient(self, at: Configuration, stiffness: Stiffness, gradient: Floats) -> None:
         self._add(at, joint_gradients(self.joints, at.state, self.secant(at.state, stiffness)), gradient)
 
-    def add_hessian(self, at: Place, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool) -> None:
+    def add_hessian(
+        self, at: Configuration, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool
+    ) -> None:
         parent, child = self.joints.parent, self.joints.child
         blocks = self.hessians(at.state, stiffness)
         blocks = positive_part(blocks) if project else blocks
@@ -126,13 +128,15 @@ class JointLaw(ScaledLaw):
         lower = np.where((parent > child)[:, None, None], blocks[:, :6, 6:], blocks[:, 6:, :6])
         tangent.add(lower, np.maximum(parent, child), np.minimum(parent, child), offsets)
 
-    def add_shares(self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats) -> None:
+    def add_shares(
+        self, at: Configuration, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats
+    ) -> None:
         shares = joint_gradient_shares(self.joints, at.state, self.secant(at.state, stiffness))
         for group, column in zip(groups, columns.T):
             self._add(at, np.einsum("js,jsd->jd", group.joints_of(len(shares)), shares), column)
 
     def share_products(
-        self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
+        self, at: Configuration, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
     ) -> Floats:
         rows = at.unknowns.bone_rows(direction)
         along = np.hstack([rows[self.joints.parent], rows[self.joints.child]])
@@ -140,7 +144,7 @@ class JointLaw(ScaledLaw):
         products = np.einsum("jsd,jd->js", shares, along)
         return np.array([products[group.joints_of(len(products))].sum() for group in groups])
 
-    def _add(self, at: Place, rows: Floats, gradient: Floats) -> None:
+    def _add(self, at: Configuration, rows: Floats, gradient: Floats) -> None:
         bones = at.unknowns.bone_rows(gradient)
         np.add.at(bones, self.joints.parent, rows[:, :6])
         np.add.at(bones, self.joints.child, rows[:, 6:])

@@ -13,7 +13,7 @@ with a spanning tree of joints and supports over it) the stiff strains change li
 
 ``dx = T y`` to first order, dx as in ``anatomy.state.retract``. T and its inverse are sweeps along the tree. The
 tangent stiffness hardly changes in these coordinates when a part of the torso turns as a whole, so that the factor of
-an earlier state goes on serving (``FrameFactor``).
+an earlier state goes on serving (``quasi_newton.FrameFactor``).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from spinestiff.anatomy.rotation import cross, exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
-from spinestiff.mechanics.factor import Analysis, Factor
+from spinestiff.mechanics.factor import Analysis
 from spinestiff.mechanics.supports import Supports
 
 # Added to the diagonal of the weights' Laplacian: tissue that hangs on no bone is carried by none.
@@ -161,55 +161,6 @@ class Frame:
         rows = self._k.weights.T @ np.hstack([nodes, cross(self.state.tissue_positions, nodes)])
         rows[:, 3:] -= cross(self.state.bone_positions, rows[:, :3])
         return rows
-
-
-class FrameFactor:
-    """A factor of one state's tangent, applied in relative coordinates at others.
-
-    It learns from the steps that were taken with it (BFGS, with the factor as the first matrix; Matthies and Strang
-    1979), so that the few directions in which the tangent has changed much cost a step each and not a new factor.
-
-    Parameters
-    ----------
-    frame : where the tangent was factorised.
-    factor : of the tangent in dx, held DoFs replaced by the identity.
-    held : indices of held DoFs.
-    projected : whether negative curvature was left out of what was factorised.
-    """
-
-    def __init__(self, frame: Frame, factor: Factor, held: Ints, projected: bool = False) -> None:
-        self.frame = frame
-        self.factor = factor
-        self.projected = projected
-        self._held = held
-        self._checked = False
-        self._pairs: list[tuple[Floats, Floats, float]] = []
-
-    def apply(self, gradient: Floats) -> Floats:
-        """T0^-1 K0^-1 T0^-T times a gradient per y."""
-        world = self.frame.push(gradient)
-        world[self._held] = 0.0
-        # One solve tells whether the matrix is singular.
-        checked, self._checked = self._checked or self.factor.iterative, True
-        return self.frame.from_world(self.factor.inverse(world) if checked else self.factor.solve(world, 1e-6))
-
-    def solve(self, gradient: Floats) -> Floats:
-        """As ``apply``, with what was learnt: the inverse BFGS matrix by its two loops."""
-        q, shares = gradient.copy(), []
-        for step, change, product in reversed(self._pairs):
-            share = float(step @ q) / product
-            q -= share * change
-            shares.append(share)
-        y = self.apply(q)
-        for (step, change, product), share in zip(self._pairs, reversed(shares)):
-            y += (share - float(change @ y) / product) * step
-        return y
-
-    def learn(self, step: Floats, change: Floats) -> None:
-        """A step y changed the gradient per y by ``change``; left aside where its curvature is not positive."""
-        product = float(step @ change)
-        if product > 1e-8 * float(np.linalg.norm(step) * np.linalg.norm(change)):
-            self._pairs.append((step, change, product))
 
 
 def _spanning_tree(torso: TorsoModel, supports: Supports) -> tuple[Ints, Ints, Ints, Ints]:

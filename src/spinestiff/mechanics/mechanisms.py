@@ -30,7 +30,15 @@ from spinestiff.anatomy.rotation import cross_matrix
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.assembly import ROTATION_LENGTH, Law, Place, Stiffness, Tangent, Unknowns, build_pattern
+from spinestiff.mechanics.assembly import (
+    ROTATION_LENGTH,
+    Configuration,
+    Law,
+    Stiffness,
+    Tangent,
+    Unknowns,
+    build_pattern,
+)
 from spinestiff.mechanics.potential import Potential
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import Term, TermBlocks
@@ -417,7 +425,7 @@ def _curvature(torso: TorsoModel, laws: Sequence[Law], stiffness: Stiffness | No
     unknowns = Unknowns(torso)
     pairs = [law.pairs(unknowns) for law in laws]
     pattern = build_pattern(np.concatenate(pairs), unknowns.sizes)
-    at, tangent = Place(unknowns, torso.rest_pose), Tangent(unknowns, pattern)
+    at, tangent = Configuration(unknowns, torso.rest_pose), Tangent(unknowns, pattern)
     for law, own in zip(laws, pairs):
         law.add_hessian(at, stiffness, tangent, pattern.offset(*own.T), False)
     shape = (unknowns.dofs, unknowns.dofs)

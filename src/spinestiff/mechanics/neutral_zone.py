@@ -7,7 +7,7 @@ import numpy as np
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import JointTable
 from spinestiff.arrays import Floats
-from spinestiff.mechanics.assembly import Place, Stiffness
+from spinestiff.mechanics.assembly import Configuration, Stiffness
 from spinestiff.mechanics.joints import JointLaw, joint_gradient_shares, joint_hessians, joint_pose
 
 
@@ -36,7 +36,7 @@ class NeutralZone(JointLaw):
         """(J, 6) N mm, the energy of each."""
         return 0.25 * self.factor * stiffness * self.strains(state) ** 4 / self.theta0**2
 
-    def energy(self, at: Place, stiffness: Stiffness) -> tuple[float, float]:
+    def energy(self, at: Configuration, stiffness: Stiffness) -> tuple[float, float]:
         return float(self.entries(at.state, stiffness.joints).sum()), np.inf
 
     def secant(self, state: TorsoState, stiffness: Stiffness) -> Floats:

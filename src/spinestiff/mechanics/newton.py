@@ -27,8 +27,9 @@ from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.factor import Factor, symmetric_product
-from spinestiff.mechanics.kinematics import Frame, FrameFactor
+from spinestiff.mechanics.kinematics import Frame
 from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.quasi_newton import FrameFactor
 from spinestiff.mechanics.result import Equilibrium, NewtonStep, OnNewtonStep, SolveStatus
 from spinestiff.mechanics.system import Factorised, System
 from spinestiff.mechanics.terms import PredictedSprings
@@ -101,7 +102,7 @@ class Run:
 
     def newton(self, load: LoadCase, state: TorsoState, factor: FrameFactor | None = None) -> Equilibrium:
         """Mixed and chord steps."""
-        at = Point(self, load, state)
+        at = Iterate(self, load, state)
         if not at.smallest_j > 0.0:
             return at.ended(SolveStatus.INVERTED_START)
         predicted: Floats | None = None
@@ -146,17 +147,17 @@ class Run:
             found = self.newton(load.scaled(share), state)
             state = found.state
             if found.status is not SolveStatus.CONVERGED:
-                return Point(self, load, state).ended(found.status)
+                return Iterate(self, load, state).ended(found.status)
         return found
 
     def descend(self, load: LoadCase, state: TorsoState) -> Equilibrium:
         """Steps that lower the energy."""
-        at = Point(self, load, state)
+        at = Iterate(self, load, state)
         if not at.smallest_j > 0.0:
             return at.ended(SolveStatus.INVERTED_START)
         return self._descended(at)
 
-    def _descended(self, at: Point, first: int = 0, factor: FrameFactor | None = None) -> Equilibrium:
+    def _descended(self, at: Iterate, first: int = 0, factor: FrameFactor | None = None) -> Equilibrium:
         """Down from a place, with iterations counted from ``first``; ``factor``: one made there."""
         bones, last = self.potential.bones, first + LONGER * self.max_iterations
         radius, fresh = np.inf, True
@@ -192,7 +193,7 @@ class Run:
             at, fresh = there, False
         return at.ended(SolveStatus.ITERATION_LIMIT, last)
 
-    def _truncated(self, at: Point, hessian: Floats, factor: FrameFactor, radius: float) -> TruncatedStep:
+    def _truncated(self, at: Iterate, hessian: Floats, factor: FrameFactor, radius: float) -> TruncatedStep:
         pattern, frame = self.potential.pattern, at.frame
 
         def tangent(y: Floats) -> Floats:
@@ -205,7 +206,7 @@ class Run:
         self._products += way.products
         return way
 
-    def _slid(self, at: Point, down: Floats) -> Point:
+    def _slid(self, at: Iterate, down: Floats) -> Iterate:
         """As far along a way down as twice the step lowers the energy further."""
         best, step = at, 1.0
         for _ in range(MOST_DOUBLINGS):
@@ -213,20 +214,20 @@ class Run:
             energy, smallest_j = self.potential.energy(state, self.stiffness, at.terms)
             if not (smallest_j > LEAST_J_SHARE * min(1.0, at.smallest_j) and energy < best.energy):
                 break
-            best, step = Point(self, at.load, state, energy, smallest_j), 2.0 * step
+            best, step = Iterate(self, at.load, state, energy, smallest_j), 2.0 * step
         return best
 
     def tolerance(self, load: LoadCase) -> float:
         return self.system.tolerance(load) if self._tolerance is None else self._tolerance
 
-    def _hessian(self, at: Point, predicted: Floats | None = None) -> Floats:
+    def _hessian(self, at: Iterate, predicted: Floats | None = None) -> Floats:
         terms = at.terms
         if predicted is not None:
             springs = self.system.supports.springs
             terms = tuple(PredictedSprings(springs, predicted) if term is springs else term for term in terms)
         return self.potential.hessian(at.state, self.stiffness, terms)
 
-    def _factor(self, at: Point, hessian: Floats) -> FrameFactor:
+    def _factor(self, at: Iterate, hessian: Floats) -> FrameFactor:
         """A positive definite factor: of the tangent, or of one that is projected."""
         factor = self._numeric(hessian)
         if factor.positive_definite:
@@ -246,18 +247,18 @@ class Run:
         self.factorisations += 1
         return self.system.numeric_factor(values)
 
-    def _admissible(self, at: Point, y: Floats) -> tuple[float, Point | None]:
+    def _admissible(self, at: Iterate, y: Floats) -> tuple[float, Iterate | None]:
         # The whole step, or as much of it as no element loses most of its volume over.
         step = 1.0
         for _ in range(30):
             state = at.frame.move(step * y)
             energy, smallest_j = self.potential.energy(state, self.stiffness, at.terms)
             if smallest_j > LEAST_J_SHARE * min(1.0, at.smallest_j) and np.isfinite(energy):
-                return step, Point(self, at.load, state, energy, smallest_j)
+                return step, Iterate(self, at.load, state, energy, smallest_j)
             step *= 0.5
         return 0.0, None
 
-    def _line_search(self, at: Point, y: Floats) -> tuple[float, Point] | None:
+    def _line_search(self, at: Iterate, y: Floats) -> tuple[float, Iterate] | None:
         slope = float(at.force @ y)
         if not slope < 0.0:
             return None
@@ -268,7 +269,7 @@ class Run:
             state = at.frame.move(step * y)
             energy, smallest_j = self.potential.energy(state, self.stiffness, at.terms)
             if smallest_j > LEAST_J_SHARE * min(1.0, at.smallest_j):
-                there = Point(self, at.load, state, energy, smallest_j)
+                there = Iterate(self, at.load, state, energy, smallest_j)
                 if energy <= at.energy + 1e-4 * step * slope:
                     return step, there
                 if energy <= at.energy + rounding and there.residual < at.residual:
@@ -276,7 +277,7 @@ class Run:
             step *= 0.5
         return None
 
-    def _judged(self, at: Point, factor: FrameFactor | None) -> SolveStatus:
+    def _judged(self, at: Iterate, factor: FrameFactor | None) -> SolveStatus:
         # Force balance is a minimum where the tangent is positive definite. It is if it is near one that is.
         spare = factor if factor is not None and not factor.projected and not self._always_factorise else None
         try:
@@ -291,7 +292,7 @@ class Run:
             return SolveStatus.SADDLE
         return SolveStatus.CONVERGED if self.tangent.factor.positive_definite else SolveStatus.SADDLE
 
-    def _least_ritz(self, at: Point, factor: FrameFactor) -> float:
+    def _least_ritz(self, at: Iterate, factor: FrameFactor) -> float:
         """Smallest Ritz value of K0^-1 K: about its smallest eigenvalue, which is above 0 where K is as K0 is.
 
         The coefficients of conjugate gradients on K with K0 as preconditioner give Lanczos' tridiagonal matrix. They
@@ -330,7 +331,7 @@ class Run:
             p = z + beta * p
         return float(eigvalsh_tridiagonal(diagonal, off).min())
 
-    def _note(self, iteration: int, at: Point, step: float, factorised: bool, projected: bool) -> SolveStatus | None:
+    def _note(self, iteration: int, at: Iterate, step: float, factorised: bool, projected: bool) -> SolveStatus | None:
         self.history.append(NewtonStep(iteration, at.residual, at.energy, at.smallest_j, step, factorised, projected))
         if self._observer and self._observer(self.history[-1]):
             self._end = SolveStatus.CANCELLED
@@ -341,7 +342,7 @@ class Run:
         return self._end
 
 
-class Point:
+class Iterate:
     """A state on the way: energy, smallest J, gradient and frame, each worked out once."""
 
     def __init__(
@@ -396,17 +397,17 @@ class Point:
 class Chord:
     """Steps on one factor: whether to take another or to factorise anew."""
 
-    def __init__(self, start: Point) -> None:
+    def __init__(self, start: Iterate) -> None:
         self.best = self._start = start
         self._steps = self._without_gain = 0
 
-    def took(self, there: Point) -> None:
+    def took(self, there: Iterate) -> None:
         self._steps += 1
         self._without_gain += 1
         if there.residual < self.best.residual or self._steps == 1:
             self.best, self._without_gain = there, 0
 
-    def spent(self, at: Point) -> bool:
+    def spent(self, at: Iterate) -> bool:
         """Whether a new factor is expected to be cheaper than to go on."""
         if self._without_gain > 2:
             return True

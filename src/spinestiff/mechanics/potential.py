@@ -10,7 +10,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
-from spinestiff.mechanics.assembly import Law, Place, ScaledLaw, Stiffness, Tangent, Unknowns, build_pattern
+from spinestiff.mechanics.assembly import Configuration, Law, ScaledLaw, Stiffness, Tangent, Unknowns, build_pattern
 from spinestiff.mechanics.joints import JointLaw
 from spinestiff.mechanics.terms import Term
 from spinestiff.mechanics.tissue import TissueLaw
@@ -51,11 +51,11 @@ class Potential:
 
     def nodes(self, state: TorsoState) -> Floats:
         """(N, 3) mm, all tissue nodes."""
-        return Place(self.unknowns, state).nodes
+        return Configuration(self.unknowns, state).nodes
 
     def energy(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[Term]) -> tuple[float, float]:
         """Total energy (Eq. 3), N mm, and the smallest J at an integration point. Infinite where J <= 0."""
-        at, total, smallest = Place(self.unknowns, state), 0.0, np.inf
+        at, total, smallest = Configuration(self.unknowns, state), 0.0, np.inf
         for law in self.laws:
             energy, j = law.energy(at, stiffness)
             total, smallest = total + energy, min(smallest, j)
@@ -65,7 +65,7 @@ class Potential:
 
     def gradient(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[Term]) -> Floats:
         """(dofs,) gradient of the total energy, N and N mm; minus the net force of Eq. 5."""
-        at, gradient = Place(self.unknowns, state), np.zeros(self.dofs)
+        at, gradient = Configuration(self.unknowns, state), np.zeros(self.dofs)
         for law in self.laws:
             law.add_gradient(at, stiffness, gradient)
         for term in terms:
@@ -80,7 +80,7 @@ class Potential:
 
     def hessian(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[Term], project: bool = False) -> Floats:
         """Values of the Hessian in ``pattern``; with ``project`` every part's negative curvature is left out."""
-        at, tangent = Place(self.unknowns, state), Tangent(self.unknowns, self.pattern)
+        at, tangent = Configuration(self.unknowns, state), Tangent(self.unknowns, self.pattern)
         for law, offsets in zip(self.laws, self._offsets):
             law.add_hessian(at, stiffness, tangent, offsets, project)
         for term in terms:
@@ -91,7 +91,7 @@ class Potential:
 
     def ratio_gradients(self, state: TorsoState, stiffness: Stiffness, groups: Sequence[ParameterGroup]) -> Floats:
         """(dofs, P) d gradient / d log ratio of each group: the group's own share of the force (paper 3.3)."""
-        at, columns = Place(self.unknowns, state), np.zeros((len(groups), self.dofs)).T
+        at, columns = Configuration(self.unknowns, state), np.zeros((len(groups), self.dofs)).T
         for law in self._scaled:
             law.add_shares(at, stiffness, groups, columns)
         return np.ascontiguousarray(columns)
@@ -100,7 +100,7 @@ class Potential:
         self, state: TorsoState, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
     ) -> Floats:
         """(P,) ``ratio_gradients`` times ``direction`` (dofs,), in one pass for any number of groups."""
-        at, total = Place(self.unknowns, state), np.zeros(len(groups))
+        at, total = Configuration(self.unknowns, state), np.zeros(len(groups))
         for law in self._scaled:
             total = total + law.share_products(at, stiffness, groups, direction)
         return total

@@ -21,9 +21,9 @@ from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.factor import symmetric_product
-from spinestiff.mechanics.kinematics import FrameFactor
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.places import held_pelvis, shoulder_force
+from spinestiff.mechanics.quasi_newton import FrameFactor
 from spinestiff.mechanics.result import Equilibrium
 from spinestiff.mechanics.system import Factorised, System
 from spinestiff.mechanics.terms import Term

@@ -21,7 +21,7 @@ from spinestiff.anatomy.stiffness import ParameterGroup
 from spinestiff.anatomy.torso import TET10_EDGES, TissueMesh
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
-from spinestiff.mechanics.assembly import Place, ScaledLaw, Stiffness, Tangent, Unknowns
+from spinestiff.mechanics.assembly import Configuration, ScaledLaw, Stiffness, Tangent, Unknowns
 
 # Four points, exact for quadratics (Hammer, Marlowe and Stroud 1956); one point for the linear element.
 _A, _B = 0.5854101966249685, 0.1381966011250105
@@ -381,7 +381,7 @@ class TissueLaw(ScaledLaw):
         entities = unknowns.entity[self.data.elements]
         return np.stack([entities[:, a], entities[:, b]], -1).reshape(-1, 2)
 
-    def energy(self, at: Place, stiffness: Stiffness) -> tuple[float, float]:
+    def energy(self, at: Configuration, stiffness: Stiffness) -> tuple[float, float]:
         d = self.data
         energy, smallest = element_energies(at.nodes, d.elements, d.gradients, d.weights)
         j = float(smallest.min(initial=np.inf))
@@ -389,10 +389,12 @@ class TissueLaw(ScaledLaw):
             return np.inf, j
         return float(stiffness.mu @ energy[:, 0] + stiffness.lambda_ @ energy[:, 1]), j
 
-    def add_gradient(self, at: Place, stiffness: Stiffness, gradient: Floats) -> None:
+    def add_gradient(self, at: Configuration, stiffness: Stiffness, gradient: Floats) -> None:
         at.add_nodal(self._nodal_gradient(at, stiffness), gradient)
 
-    def add_hessian(self, at: Place, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool) -> None:
+    def add_hessian(
+        self, at: Configuration, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool
+    ) -> None:
         d, of = self.data, at.unknowns
         if project:
             elements = projected_element_hessians(at.nodes, d, stiffness.mu, stiffness.lambda_)
@@ -416,7 +418,9 @@ class TissueLaw(ScaledLaw):
         turning = rotation_second_derivative(self._nodal_gradient(at, stiffness)[of.tied], at.tied_arms)
         np.add.at(tangent.bones[:, 3:, 3:], of.tied_points.bone, turning)
 
-    def add_shares(self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats) -> None:
+    def add_shares(
+        self, at: Configuration, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats
+    ) -> None:
         d = self.data
         parts = element_gradients(at.nodes, d.elements, d.gradients, d.weights)
         for group, column in zip(groups, columns.T):
@@ -424,7 +428,7 @@ class TissueLaw(ScaledLaw):
                 at.add_nodal(self._assembled(at, parts, *self._moduli(group, stiffness)), column)
 
     def share_products(
-        self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
+        self, at: Configuration, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
     ) -> Floats:
         d = self.data
         parts = element_gradient_products(at.nodes, d.elements, d.gradients, d.weights, at.nodal_motion(direction))
@@ -436,12 +440,12 @@ class TissueLaw(ScaledLaw):
         inside = group.elements_of(self.count)[self.data.number]
         return group.mu * inside * stiffness.mu, group.lambda_ * inside * stiffness.lambda_
 
-    def _nodal_gradient(self, at: Place, stiffness: Stiffness) -> Floats:
+    def _nodal_gradient(self, at: Configuration, stiffness: Stiffness) -> Floats:
         d = self.data
         parts = element_gradients(at.nodes, d.elements, d.gradients, d.weights)
         return self._assembled(at, parts, stiffness.mu, stiffness.lambda_)
 
-    def _assembled(self, at: Place, parts: Floats, mu: Floats, lambda_: Floats) -> Floats:
+    def _assembled(self, at: Configuration, parts: Floats, mu: Floats, lambda_: Floats) -> Floats:
         """Element gradients per unit mu and lambda (T, 2, n, 3), times the moduli, summed to nodes (N, 3)."""
         nodes = np.zeros_like(at.nodes)
         _add_to_nodes(nodes, self.data.elements, parts, mu, lambda_)
