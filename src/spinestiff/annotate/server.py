@@ -63,7 +63,7 @@ def application(session: AnnotationSession) -> FastAPI:
     @app.post("/api/judge")
     def judge(body: Body) -> dict[str, Any]:
         asked = sent(body, Judge)
-        return judged_record(session.judge.told(asked.image, asked.marks))
+        return judged_record(session.judge.told(asked.image, {**session.marks, asked.image: asked.marks}))
 
     @app.post("/api/propose")
     def propose(body: Body) -> dict[str, Any]:
