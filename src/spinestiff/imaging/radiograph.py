@@ -6,6 +6,7 @@ and the image's middle.
 
 from __future__ import annotations
 
+import warnings
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -131,11 +132,18 @@ def read_radiographs(
     centre : (3,) mm, the world point that the principal ray passes in the patient plane.
     within : folder that every file has to lie in, links followed.
 
+    Warns
+    -----
+    UserWarning : what is odd about the order of a folder's files.
+
     Raises
     ------
     RadiographError : whatever is wrong with a file, in one line with its name.
     """
-    return _radiographs(read_scans(Path(path), geometry or Geometry(), within), centre)
+    scans, odd = read_scans(Path(path), geometry or Geometry(), within)
+    if odd:
+        warnings.warn(odd, stacklevel=2)
+    return _radiographs(scans, centre)
 
 
 def open_radiographs(
@@ -209,16 +217,16 @@ def times_of(scans: tuple[Scan, ...]) -> tuple[float | None, ...]:
     return tuple((clock or 0.0) - (clocks[0] or 0.0) for clock in clocks)
 
 
-def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple[Scan, ...]:
-    """One file, or the single-frame files of a folder in their order; like ``read_radiographs``, but what the user can
-    give may be missing.
+def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple[tuple[Scan, ...], str]:
+    """One file, or the single-frame files of a folder in their order, and what is odd about that, "" if nothing; like
+    ``read_radiographs``, but what the user can give may be missing.
 
     Raises
     ------
     RadiographError : a file that can't be read, files that are no series.
     """
     if not path.is_dir():
-        return (read_scan(path, given, within),)
+        return (read_scan(path, given, within),), ""
     files = candidates(path)
     for file in files:
         regular_file(file, RadiographError, within=within, name=file.name)
@@ -240,19 +248,19 @@ def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple
     return in_order(path.name, scans)
 
 
-def in_order(folder: str, scans: list[Scan]) -> tuple[Scan, ...]:
-    """Single-frame files as one sequence.
+def in_order(folder: str, scans: list[Scan]) -> tuple[tuple[Scan, ...], str]:
+    """Single-frame files as one sequence, and what is odd about its order, "" if nothing.
 
     Raises
     ------
     RadiographError : they are none, or their order is unknown.
     """
     if len(scans) == 1:
-        return tuple(scans)
+        return tuple(scans), ""
     _check_series(scans)
-    order = ordered(folder, [scan.name for scan in scans], [scan.tags.clock for scan in scans],
-                    [scan.tags.instance for scan in scans])  # fmt: skip
-    return tuple(scans[i] for i in order)
+    order, odd = ordered(folder, [scan.name for scan in scans], [scan.tags.clock for scan in scans],
+                         [scan.tags.instance for scan in scans])  # fmt: skip
+    return tuple(scans[i] for i in order), odd
 
 
 def candidates(folder: Path) -> list[Path]:

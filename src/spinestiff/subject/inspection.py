@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -128,14 +127,12 @@ def _subject_inside(folder: Path, name: str) -> tuple[Inspection, ...]:
 
 def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -> tuple[Inspection, Scan | None]:
     """What is in a picture's files, and the first of them; None where they are refused."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            scans = read_scans(path, given, within)
-        except RadiographError as problem:
-            return Inspection(name, str(problem)), None
-    told = tuple(str(warning.message) for warning in caught)
-    return Inspection(name, "", _seen(scans), scans[0].missing, (*told, *_looks_otherwise(scans[0]))), scans[0]
+    try:
+        scans, odd = read_scans(path, given, within)
+    except RadiographError as problem:
+        return Inspection(name, str(problem)), None
+    told = (*filter(None, [odd]), *_looks_otherwise(scans[0]))
+    return Inspection(name, "", _seen(scans), scans[0].missing, told), scans[0]
 
 
 def _looks_otherwise(scan: Scan) -> Iterator[str]:
@@ -174,15 +171,12 @@ def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
             found.append(Inspection(one, "", _seen((scan,)), scan.missing))
     if len(found) == 1 or len(scans) < len(found) or any(scan.layout.frames > 1 for scan in scans):
         return tuple(found)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            series = in_order(folder.name, scans)
-        except RadiographError as problem:
-            alone = f"not one sequence: {problem}"
-            return tuple(Inspection(one.image, "", one.seen, one.missing, (alone,)) for one in found)
-    told = tuple(str(warning.message) for warning in caught)
-    return (Inspection(name, "", _seen(series), series[0].missing, told),)
+    try:
+        series, odd = in_order(folder.name, scans)
+    except RadiographError as problem:
+        alone = f"not one sequence: {problem}"
+        return tuple(Inspection(one.image, "", one.seen, one.missing, (alone,)) for one in found)
+    return (Inspection(name, "", _seen(series), series[0].missing, (odd,) if odd else ()),)
 
 
 def _subject(folder: Path) -> tuple[Inspection, ...]:

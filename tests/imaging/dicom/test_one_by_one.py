@@ -112,7 +112,7 @@ def test_a_file_too_large_to_be_read_whole_is_read_frame_by_frame(file, request)
     assert isinstance(whole, tuple) and not isinstance(apart, tuple)
     assert apart[0].sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     same_pictures(apart, whole)
-    (scan,) = read_scans(path, reading.Geometry())
+    (scan,), _ = read_scans(path, reading.Geometry())
     np.testing.assert_array_equal(motion_course(iter(scan.pixels)), motion)
     # What an export's files are told apart by is the same, too.
     again = read_exported(path, path.name, path.parent)

@@ -11,8 +11,10 @@ import logging
 import warnings
 import zlib
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from io import BytesIO
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING
 
 from spinestiff.errors import RadiographError
@@ -71,9 +73,38 @@ def named(what: str) -> Iterator[None]:
         ) from None
 
 
+def quiet() -> AbstractContextManager[None]:
+    """No warnings or log lines of the DICOM library and its codecs: they quote the file's values, patient data too.
+
+    Filters and loggers are those of all threads, so nobody's warnings are heard until the last that asked has left.
+    """
+    return _QUIET
+
+
+class _Quiet(AbstractContextManager[None]):
+    """The first that enters silences, the last that leaves restores what was."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._restore = Lock(), 0, contextlib.ExitStack()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._restore.enter_context(_silenced())
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._restore.close()
+
+
+_QUIET = _Quiet()
+
+
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """No warnings or log lines of the DICOM library and its codecs: they quote the file's values, patient data too."""
+def _silenced() -> Iterator[None]:
     loggers = [logging.getLogger(name) for name in ("pydicom", "PIL", "pylibjpeg")]
     were = [logger.disabled for logger in loggers]
     for logger in loggers:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 
 from spinestiff.errors import RadiographError
@@ -13,9 +12,10 @@ DAY_S = 86400.0
 
 def ordered(
     folder: str, names: Sequence[str], clocks: Sequence[float | None], numbers: Sequence[int | None]
-) -> list[int]:
+) -> tuple[list[int], str]:
     """Indices of files in order: by time, equal times by instance number; without times by number; where no file has
-    either, by name, numbers in names as numbers.
+    either, by name, numbers in names as numbers. And what is odd about it, in a line; "" if nothing: times and numbers
+    disagree, numbers occur twice, only some files have a time, or the names decide.
 
     Parameters
     ----------
@@ -23,10 +23,6 @@ def ordered(
     names : of the files, each once.
     clocks : s, of the acquisition, with its day or of the day alone.
     numbers : InstanceNumber.
-
-    Warns
-    -----
-    UserWarning : times and numbers disagree, numbers occur twice, only some files have a time, or the names decide.
 
     Raises
     ------
@@ -42,8 +38,8 @@ def ordered(
     timed = all(clock is not None for clock in clocks)
     counted = all(number is not None for number in numbers)
     if unnumbered(clocks, numbers):
-        _warn(f"{folder}: no file has an acquisition time or an instance number; ordered by file name: check the order")
-        return sorted(indices, key=lambda i: natural(names[i]))
+        odd = f"{folder}: no file has an acquisition time or an instance number; ordered by file name: check the order"
+        return sorted(indices, key=lambda i: natural(names[i])), odd
     if not timed and not counted:
         raise RadiographError(
             f"{folder}: neither all acquisition times nor all instance numbers, so the order is unknown; "
@@ -61,15 +57,15 @@ def ordered(
     order = sorted(indices, key=lambda i: (clocks[i] or 0.0 if timed else 0.0, numbers[i] or 0 if counted else 0))
     if not timed:
         if any(clock is not None for clock in clocks):
-            _warn(f"{folder}: only some files have an acquisition time; ordered by instance number")
-        return order
+            return order, f"{folder}: only some files have an acquisition time; ordered by instance number"
+        return order, ""
     if counted:
         in_order = [numbers[i] or 0 for i in order]
         if len(set(in_order)) < len(in_order):
-            _warn(f"{folder}: instance numbers occur twice; ordered by time")
-        elif in_order != sorted(in_order):
-            _warn(f"{folder}: acquisition times and instance numbers disagree; ordered by time")
-    return order
+            return order, f"{folder}: instance numbers occur twice; ordered by time"
+        if in_order != sorted(in_order):
+            return order, f"{folder}: acquisition times and instance numbers disagree; ordered by time"
+    return order, ""
 
 
 def dated(clocks: Sequence[float | None]) -> list[float | None] | None:
@@ -92,7 +88,3 @@ def natural(name: str) -> tuple[tuple[tuple[str, int], ...], str]:
     """What sorts names as people do: img2 before img10."""
     pieces = re.findall(r"(\D*)(\d*)", name.casefold())
     return tuple((text, int(digits or -1)) for text, digits in pieces), name
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, stacklevel=5)

@@ -6,7 +6,6 @@ one radiograph that can be at rest by it, and the reason says so; where it contr
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -206,11 +205,9 @@ def _follows(one: Exported, last: Exported) -> bool:
 
 def _in_time(files: Sequence[Exported]) -> tuple[Exported, ...]:
     """In the order in which a folder of them will be read. Raises RadiographError if they are no sequence."""
-    with warnings.catch_warnings():
-        # What is odd about the order is said of the folder that is made.
-        warnings.simplefilter("ignore")
-        # Files of several folders may have one name; their paths tell them apart.
-        scans = in_order("the push", [replace(one.scan, name=one.name) for one in files])
+    # Files of several folders may have one name; their paths tell them apart. What is odd about the order is said of
+    # the folder that is made.
+    scans, _ = in_order("the push", [replace(one.scan, name=one.name) for one in files])
     by_name = {one.name: one for one in files}
     return tuple(by_name[scan.name] for scan in scans)
 
