@@ -24,7 +24,7 @@ from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_MAPPED_BYTES, declar
 from spinestiff.imaging.dicom.greys import DisplayCurve
 from spinestiff.imaging.dicom.layout import MODALITIES, MOST_FRAMES
 from spinestiff.imaging.dicom.millimetres import AGREEMENT, Geometry, Scale
-from spinestiff.imaging.dicom.ordering import dated, ordered
+from spinestiff.imaging.dicom.ordering import dated, ordered, times_told
 from spinestiff.imaging.dicom.orientation import lps_from_world, world_from_lps
 from spinestiff.imaging.dicom.reading import FramesOnDisk, Scan, read_frames, read_scan
 from spinestiff.imaging.dicom.tags import coded_word, shown
@@ -211,7 +211,7 @@ def times_of(scans: tuple[Scan, ...]) -> tuple[float | None, ...]:
     """Seconds since the first frame, of the frames of one file or of single-frame files in order."""
     if len(scans) == 1:
         return scans[0].tags.times
-    clocks = dated([scan.tags.clock for scan in scans])
+    clocks = dated(times_told(*_clocks(scans)))
     if clocks is None or any(clock is None for clock in clocks):
         return (None,) * len(scans)
     return tuple((clock or 0.0) - (clocks[0] or 0.0) for clock in clocks)
@@ -258,9 +258,14 @@ def in_order(folder: str, scans: list[Scan]) -> tuple[tuple[Scan, ...], str]:
     if len(scans) == 1:
         return tuple(scans), ""
     _check_series(scans)
-    order, odd = ordered(folder, [scan.name for scan in scans], [scan.tags.clock for scan in scans],
-                         [scan.tags.instance for scan in scans])  # fmt: skip
+    order, odd = ordered(folder, [scan.name for scan in scans], *_clocks(scans))
     return tuple(scans[i] for i in order), odd
+
+
+def _clocks(scans: Sequence[Scan]) -> tuple[list[float | None], list[int | None], list[float | None]]:
+    """Times of acquisition, numbers and times of content, as the headers have them."""
+    tags = [scan.tags for scan in scans]
+    return [one.clock for one in tags], [one.instance for one in tags], [one.content_clock for one in tags]
 
 
 def candidates(folder: Path) -> list[Path]:

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from spinestiff.imaging.dicom.tags import hash_of, hashed, ordinal, seconds_of
+from spinestiff.imaging.dicom.ordering import DAY_S
+from spinestiff.imaging.dicom.tags import clock_of, hash_of, hashed, ordinal, told
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -75,8 +76,8 @@ def export_tags(dataset: Dataset) -> ExportTags:
     view = _either("frontal", bool(words & _FRONTAL), "lateral", sideways)
     use = _either("rest", bool(words & _REST), "push", bool(words & _PUSH))
     age, source = _age(dataset)
-    sex = {"F": "female", "M": "male"}.get(_told(dataset, "PatientSex").upper())
-    patient, study, series = (_told(dataset, key) for key in ("PatientID", "StudyInstanceUID", "SeriesInstanceUID"))
+    sex = {"F": "female", "M": "male"}.get(told(dataset, "PatientSex").upper())
+    patient, study, series = (told(dataset, key) for key in ("PatientID", "StudyInstanceUID", "SeriesInstanceUID"))
     return ExportTags(
         hash_of(patient) if patient else "",
         hash_of(study) if study else "",
@@ -87,8 +88,8 @@ def export_tags(dataset: Dataset) -> ExportTags:
         age,
         source,
         sex,
-        _day(_told(dataset, key) for key in _DAYS),
-        _line(_told(dataset, "StudyDescription")),
+        _day(told(dataset, key) for key in _DAYS),
+        _line(told(dataset, "StudyDescription")),
     )
 
 
@@ -104,34 +105,23 @@ def _either(one: str, is_one: bool, other: str, is_other: bool) -> str | None:
     return one if is_one else other
 
 
-def _told(dataset: Dataset, keyword: str) -> str:
-    try:
-        return str(dataset.get(keyword) or "").strip()
-    except Exception:  # what pydicom can't parse raises all sorts; such a value tells nothing
-        return ""
-
-
 def _words(dataset: Dataset) -> set[str]:
-    text = " ".join(_told(dataset, key) for key in ("SeriesDescription", "ProtocolName", "ViewPosition"))
+    text = " ".join(told(dataset, key) for key in ("SeriesDescription", "ProtocolName", "ViewPosition"))
     return set(re.findall(r"[^\W\d_]+", text.casefold().replace(".", "")))
 
 
 def _moment(dataset: Dataset) -> float | None:
-    whole = _told(dataset, "AcquisitionDateTime")
-    pairs = [(whole[:8], whole[8:])]
-    pairs += [(_told(dataset, f"{of}Date"), _told(dataset, f"{of}Time")) for of in ("Acquisition", "Content", "Series")]
-    for date, time in pairs:
-        seconds = seconds_of(time)
-        if seconds is not None:
-            day = ordinal(date) or _day(_told(dataset, key) for key in _DAYS) or 0
-            return 86400.0 * day + seconds
-    return None
+    clocks = (clock_of(dataset, what) for what in ("Acquisition", "Content", "Series"))
+    clock = next((clock for clock in clocks if clock is not None), None)
+    if clock is None or clock >= DAY_S:
+        return clock
+    return clock + DAY_S * (_day(told(dataset, key) for key in _DAYS) or 0)
 
 
 def _age(dataset: Dataset) -> tuple[float | None, str]:
-    birth, day = ordinal(_told(dataset, "PatientBirthDate")), _day(_told(dataset, key) for key in _DAYS)
+    birth, day = ordinal(told(dataset, "PatientBirthDate")), _day(told(dataset, key) for key in _DAYS)
     if birth is not None and day is not None and 0 < day - birth <= 120 * 365:
         return int(10.0 * (day - birth) / 365.25) / 10.0, "PatientBirthDate and the day of the exposure"
-    found = re.fullmatch(r"(\d{1,3})([YMWD])", _told(dataset, "PatientAge").upper())
+    found = re.fullmatch(r"(\d{1,3})([YMWD])", told(dataset, "PatientAge").upper())
     years = 0.0 if found is None else round(int(found[1]) * _AGE_UNITS[found[2]], 1)
     return (years, "PatientAge") if 0.0 < years <= 120.0 else (None, "")

@@ -13,13 +13,14 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.dicom.files import named
+from spinestiff.imaging.dicom.ordering import DAY_S
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -99,6 +100,7 @@ class Tags:
     laterality: str
     times: tuple[float | None, ...]
     clock: float | None
+    content_clock: float | None
     instance: int | None
     identity: str
     patient: str
@@ -160,7 +162,8 @@ def read_tags(dataset: Dataset) -> Tags:
         image_laterality=code(dataset, "ImageLaterality"),
         laterality=code(dataset, "Laterality"),
         times=_frame_times(dataset, frames),
-        clock=_clock(dataset),
+        clock=clock_of(dataset, "Acquisition"),
+        content_clock=clock_of(dataset, "Content"),
         instance=None if instance is None else int(instance),
         identity=hashed(dataset, "SOPInstanceUID"),
         patient=hashed(dataset, "PatientID"),
@@ -368,18 +371,26 @@ def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:
     return tuple(float(t) for t in np.cumsum(steps) / 1000.0)
 
 
-def _clock(dataset: Dataset) -> float | None:
-    """Seconds of the acquisition since the year 1, or since midnight without a date; None if the file doesn't tell."""
+def clock_of(dataset: Dataset, what: Literal["Acquisition", "Content", "Series"]) -> float | None:
+    """Seconds of that date and time since the year 1, or since midnight without a date; None if the file tells none."""
     # Read by hand: values like 17:58:00 of old systems are worth having, and a bad time is no reason to refuse.
-    moment = str(own(dataset, "AcquisitionDateTime") or "")
-    date, time = (moment[:8], moment[8:]) if len(moment) > 8 else (
-        str(own(dataset, "AcquisitionDate") or ""), str(own(dataset, "AcquisitionTime") or "")
-    )  # fmt: skip
-    seconds = seconds_of(time)
-    return None if seconds is None else 86400.0 * (ordinal(date) or 0) + seconds
+    both = told(dataset, "AcquisitionDateTime") if what == "Acquisition" else ""
+    for date, time in ((both[:8], both[8:]), (told(dataset, f"{what}Date"), told(dataset, f"{what}Time"))):
+        seconds = _seconds_of(time)
+        if seconds is not None:
+            return DAY_S * (ordinal(date) or 0) + seconds
+    return None
 
 
-def seconds_of(time: str) -> float | None:
+def told(dataset: Dataset, keyword: str) -> str:
+    """A value as text; "" where there is none, or none that can be read."""
+    try:
+        return str(dataset.get(keyword) or "").strip()
+    except Exception:  # what pydicom can't parse raises all sorts; such a value tells nothing
+        return ""
+
+
+def _seconds_of(time: str) -> float | None:
     """Since midnight."""
     found = re.match(r"(\d\d):?(\d\d)?:?(\d\d(?:\.\d+)?)?", time)
     if found is None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.dicom.export import Exported
-from spinestiff.imaging.dicom.ordering import unnumbered
+from spinestiff.imaging.dicom.ordering import times_told
 from spinestiff.imaging.radiograph import in_order, times_of
 from spinestiff.subject.intake.push_table import SHARED, TablePush, TableRow
 from spinestiff.words import counted, push_named
@@ -214,10 +214,14 @@ def _in_time(files: Sequence[Exported]) -> tuple[Exported, ...]:
 
 def _order_words(files: Sequence[Exported]) -> str:
     """By what files of a push are ordered, as ``in_order`` does."""
-    clocks, numbers = ([getattr(one.scan.tags, key) for one in files] for key in ("clock", "instance"))
-    if unnumbered(clocks, numbers):
-        return "the files' names, since no header has times or numbers: check it"
-    return "time" if None not in clocks else "the numbers in their headers"
+    tags = [one.scan.tags for one in files]
+    clocks, numbers = [one.clock for one in tags], [one.instance for one in tags]
+    times = times_told(clocks, numbers, [one.content_clock for one in tags])
+    if None not in times:
+        return "time" if None not in clocks or None not in numbers else "the times of their content: check it"
+    if None not in numbers:
+        return "the numbers in their headers"
+    return "the files' names, since no header has an acquisition time or a number: check it"
 
 
 def _seen(one: Exported) -> str:
