@@ -326,7 +326,7 @@ def _check_series(scans: list[Scan]) -> None:
         if layout != other:
             found, wanted = ("{} x {}".format(*size) for size in (layout, other))
             raise RadiographError(f"{scan.name}: found {found}, wanted {wanted} like {first.name}; keep them apart")
-        if scan.tags.patient != first.tags.patient:
+        if not scan.whose.may_be_of(first.whose):
             raise RadiographError(f"{scan.name}: found another patient than in {first.name}; keep them apart")
         if scan.directions is not None and first.directions is not None:
             mine, its = np.array(scan.directions.axes), np.array(first.directions.axes)

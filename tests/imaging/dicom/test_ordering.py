@@ -171,3 +171,11 @@ def test_files_of_another_kind_are_no_frame_of_the_sequence(file, tmp_path, valu
     with pytest.raises(RadiographError, match=f"b.dcm: {message}") as refusal:
         read_radiographs(tmp_path)
     assert "SECRET" not in str(refusal.value)
+
+
+def test_a_series_of_two_persons_without_a_number_is_refused(file, tmp_path):
+    named = {"PatientID": "", "PatientBirthDate": "20110203", "PatientIdentityRemoved": ""}
+    file(AcquisitionTime="120000", PatientName="Doe^Jane", **named)
+    file(np.ones((1, 40, 36), np.uint16), "b.dcm", AcquisitionTime="120001", PatientName="Roe^Ann", **named)
+    with pytest.raises(RadiographError, match=r"b\.dcm: found another patient than in a\.dcm; keep them apart$"):
+        read_radiographs(tmp_path)

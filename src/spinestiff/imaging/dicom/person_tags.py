@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from spinestiff.imaging.dicom.ordering import DAY_S
-from spinestiff.imaging.dicom.tags import clock_of, hash_of, hashed, ordinal, told
+from spinestiff.imaging.dicom.tags import clock_of, hash_of, ordinal, told
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
     """For ``identity.Identity``: hashes of the patient's number and of name with birth date, the day, whether the
     patient was taken out."""
-    name, birth = (str(dataset.get(keyword) or "").strip() for keyword in ("PatientName", "PatientBirthDate"))
+    number, name, birth = (told(dataset, keyword) for keyword in ("PatientID", "PatientName", "PatientBirthDate"))
     person = hash_of(f"{name.casefold()}\0{birth}") if name and birth else ""
-    removed = str(dataset.get("PatientIdentityRemoved") or "").strip().upper() == "YES"
-    return (hashed(dataset, "PatientID"), person), _day(str(dataset.get(key) or "") for key in _DAYS), removed
+    removed = told(dataset, "PatientIdentityRemoved").upper() == "YES"
+    return (hash_of(number) if number else "", person), _day(told(dataset, key) for key in _DAYS), removed
 
 
 _DAYS = ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate")
@@ -37,7 +37,7 @@ class ExportTags:
 
     Attributes
     ----------
-    patient, study, series : hashes, only to be compared; "" if not told.
+    study, series : hashes, only to be compared; "" if not told.
     moment : s of the exposure since the year 1, or since midnight; None if not told.
     view : what the words of the series call it, "frontal" or "lateral"; None if nothing, or both.
     use : the same, "rest" or "push".
@@ -46,7 +46,6 @@ class ExportTags:
     description : of the study, in one line; to be shown to whoever chooses one, and kept nowhere.
     """
 
-    patient: str = ""
     study: str = ""
     series: str = ""
     moment: float | None = None
@@ -77,9 +76,8 @@ def export_tags(dataset: Dataset) -> ExportTags:
     use = _either("rest", bool(words & _REST), "push", bool(words & _PUSH))
     age, source = _age(dataset)
     sex = {"F": "female", "M": "male"}.get(told(dataset, "PatientSex").upper())
-    patient, study, series = (told(dataset, key) for key in ("PatientID", "StudyInstanceUID", "SeriesInstanceUID"))
+    study, series = (told(dataset, key) for key in ("StudyInstanceUID", "SeriesInstanceUID"))
     return ExportTags(
-        hash_of(patient) if patient else "",
         hash_of(study) if study else "",
         hash_of(series) if series else "",
         _moment(dataset),

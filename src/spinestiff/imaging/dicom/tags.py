@@ -62,8 +62,7 @@ class Table:
 class Tags:
     """What a file says, before anything is concluded from it. None: the file does not say.
 
-    Spacings are (between rows, between columns) in mm, distances mm, times seconds. ``identity`` and ``patient`` are
-    hashes.
+    Spacings are (between rows, between columns) in mm, distances mm, times seconds. ``identity`` is a hash.
     """
 
     modality: str
@@ -103,7 +102,6 @@ class Tags:
     content_clock: float | None
     instance: int | None
     identity: str
-    patient: str
 
 
 def read_tags(dataset: Dataset) -> Tags:
@@ -166,7 +164,6 @@ def read_tags(dataset: Dataset) -> Tags:
         content_clock=clock_of(dataset, "Content"),
         instance=None if instance is None else int(instance),
         identity=hashed(dataset, "SOPInstanceUID"),
-        patient=hashed(dataset, "PatientID"),
     )
 
 
