@@ -240,7 +240,7 @@ def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple
                 f"{file.name}: found {count} frames, wanted 1, as it lies among {len(files)} files; keep it apart"
             )
         scans.append(scan)
-        if sum(_in_memory(scan) for scan in scans) > 2 * MOST_BYTES:
+        if sum(_in_memory(scan) for scan in scans) > MOST_BYTES:
             raise RadiographError(
                 f"{path.name}: found more than {MOST_BYTES // 2**20} MB of pixels in {len(files)} files, wanted less "
                 "of files that are compressed; export them uncompressed, or crop them"
@@ -356,8 +356,8 @@ def _same_geometry(one: Scan, other: Scan) -> bool:
 
 
 def _in_memory(scan: Scan) -> int:
-    """Bytes of pixels that are in memory."""
-    return 0 if isinstance(scan.pixels, FramesOnDisk) else sum(frame.nbytes for frame in scan.pixels)
+    """Bytes of pixels, as uncompressed in the file, of what is in memory."""
+    return 0 if isinstance(scan.pixels, FramesOnDisk) else scan.layout.frames * scan.layout.frame_bytes
 
 
 def _radiographs(scans: tuple[Scan, ...], centre: ArrayLike) -> Sequence[Radiograph]:

@@ -143,6 +143,26 @@ def test_files_that_are_too_large_together_are_read_one_by_one(file, request):
     same_pictures(apart, whole)
 
 
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_folder_may_hold_as_many_pixels_uncompressed_as_a_file(file, monkeypatch, bits):
+    """However many bits a pixel has; those of compressed files count as uncompressed."""
+
+    def even(dataset):
+        dataset.Rows = dataset.Columns = 300
+        dataset.BitsAllocated = dataset.BitsStored = bits
+        dataset.HighBit = bits - 1
+        dataset.PixelData = bytes(300 * 300 * bits // 8)
+
+    paths = [file(SERIES[:1], f"{number}.dcm", change=even, InstanceNumber=number) for number in range(3)]
+    monkeypatch.setattr(radiograph, "MOST_BYTES", sum(path.stat().st_size for path in paths))
+    assert len(read_radiographs(paths[0].parent)) == 3
+    for number in range(3):
+        file(SERIES[:1], f"{number}.dcm", change=lambda one: (even(one), deflate(one)), InstanceNumber=number)
+    monkeypatch.setattr(radiograph, "MOST_BYTES", 3 * 300 * 300 * bits // 8 - 1)
+    with pytest.raises(RadiographError, match="MB of pixels in 3 files, wanted less of files that are compressed"):
+        read_radiographs(paths[0].parent)
+
+
 def test_of_a_coded_file_that_is_too_large_it_is_said_what_to_do(file, little_is_read_whole):
     noise = np.random.default_rng(0).integers(0, 4096, SERIES.shape).astype(np.uint16)
     with pytest.raises(RadiographError, match=r"a\.dcm: found 0 MB, wanted .* uncompressed DICOM.*; export it unc"):
