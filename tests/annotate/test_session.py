@@ -26,6 +26,7 @@ from spinestiff.imaging.projection import lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.study.side_views import marked_pedicles
 from spinestiff.subject.folder import image_corners, push_corners, read_annotation, read_rest, read_subject
+from spinestiff.subject.inspection import inspect
 from unannotated import CANARY, MM, drawn
 
 ALL = ("rest/frontal", "rest/lateral", "push/a")
@@ -624,6 +625,28 @@ def test_radiographs_from_other_sides_are_offered(unannotated):
     assert not any("side" in line for line in session.judge.missing({"push/a/1/side": enough}))
     (unannotated / "pushes" / "b.dcm").unlink()
     assert AnnotationSession(unannotated).absent == ("push/a/1/side",)
+
+
+@pytest.mark.parametrize(
+    ("forces", "needed"),
+    [([0, 20, None], [False, True]), ([0, None, 40], [True, False]), ([0, None, None], [False, False])],
+)
+def test_marks_of_a_radiograph_whose_force_is_open_are_not_asked_for(unannotated, forces, needed):
+    record = json.loads((unannotated / "subject.json").read_text(encoding="utf-8"))
+    record["pushes"][0] |= {
+        "views": [{"id": "side", "kind": "lateral", "files": "pushes/b.dcm", "frames": [2, 1]}], "forces_n": forces,
+    }  # fmt: skip
+    (unannotated / "subject.json").write_text(json.dumps(record), encoding="utf-8")
+    view = lateral_view(shape=(640, 448), pixel=MM * 1500.0 / 1340.0)
+    pixels = [sixteen_bit(phantom(kind="lateral", bend=bend).pixels) for bend in (-20.0, -18.0)]
+    write_radiographs(unannotated / "pushes" / "b.dcm", np.stack(pixels), view)
+    names = ("push/a/2/side", "push/a/1/side")
+    session = AnnotationSession(unannotated)
+    assert session.views == dict(zip(names, needed))
+    asked = [line for line in session.judge.missing({}) if line.partition(":")[0] in names]
+    assert asked == [f"{name}: no vertebra marked yet" for name, need in zip(names, needed) if need]
+    (side,) = [one for one in inspect(unannotated) if one.image == "push/a, view side"]
+    assert side.missing == tuple(f"no corners of {n} in annotation.json" for n, need in zip(names, needed) if need)
 
 
 def test_a_vertebra_that_sets_the_millimetres_can_be_marked_first(unannotated):

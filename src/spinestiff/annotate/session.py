@@ -70,7 +70,7 @@ class AnnotationSession:
         self._made_of = _digest(Path(folder) / SUBJECT_FILE)
         self.subject = read_unannotated(folder)
         wanted = annotatable(self.subject.record)
-        self.views = annotatable_views(self.subject.record)
+        self.views = annotatable_views(self.subject)
         self.images = tuple(name for name in (*wanted, *self.views) if self._offered(name))
         needed = (*wanted, *(name for name, needed in self.views.items() if needed))
         self.absent = tuple(name for name in needed if name != LATERAL and name not in self.images)

@@ -23,7 +23,7 @@ from spinestiff.imaging.dicom.files import MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.mechanics.loads import USUAL_LIMIT_N
 from spinestiff.subject.annotation_record import FURTHER_FRAME, FURTHER_VIEW, Annotation, ImageAnnotation
-from spinestiff.subject.gaps import Gap, read_open_record
+from spinestiff.subject.gaps import Gap, open_frames, read_open_record
 from spinestiff.subject.record_reading import read_record, shown_key
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -435,13 +435,13 @@ def annotatable(record: SubjectRecord) -> tuple[str, ...]:
     return (*REST_IMAGES, *(push.image for push in record.pushes))
 
 
-def annotatable_views(record: SubjectRecord) -> dict[str, bool]:
+def annotatable_views(subject: Subject) -> dict[str, bool]:
     """Names of all radiographs from other sides, and whether an annotation needs them: of each view the one with the
-    least force.
+    least force that is known.
     """
     return {
-        push.view_image(frame, view.id): frame == push.least_of(view)
-        for push in record.pushes
+        push.view_image(frame, view.id): frame == push.least_of(view, open_frames(subject.gaps, number))
+        for number, push in enumerate(subject.pushes)
         for view in push.views
         for frame in view.frames
     }
@@ -475,7 +475,7 @@ def _check_images(subject: Subject) -> None:
             continue
         if name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
-    for name, needed in annotatable_views(subject.record).items():
+    for name, needed in annotatable_views(subject).items():
         if needed and name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
 

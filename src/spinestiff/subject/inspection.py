@@ -18,7 +18,7 @@ from spinestiff.imaging.radiograph import candidates, check_files, in_order, rea
 from spinestiff.imaging.shown_view import shown_view
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import Subject, check_image_name
-from spinestiff.subject.gaps import read_open_record
+from spinestiff.subject.gaps import open_frames, read_open_record
 from spinestiff.subject.geometry import image_geometry
 from spinestiff.subject.marks import check_marks_in, frame_names
 from spinestiff.subject.record_reading import read_record
@@ -186,18 +186,19 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
     paths = {name: folder / path for name, path in REST_IMAGES.items()}
     forces = {push.image: len(push.forces_n) for push in record.pushes}
     marks: dict[str, tuple[str, ...]] = {}
-    needed: dict[str, str] = {}
+    needed: dict[str, str | None] = {}
     paths |= {push.image: folder / push.frames for push in record.pushes}
     # Frames beside the first may be annotated, too.
     later = {push.image: frame_names(push)[1:] for push in record.pushes}
     kinds: dict[str, Literal["frontal", "lateral"]] = {LATERAL: "lateral"}
-    for push in record.pushes:
+    for number, push in enumerate(record.pushes):
         for view in push.views:
             name = f"{push.image}, view {view.id}"
             paths[name], forces[name], kinds[name] = folder / view.files, len(view.frames), view.kind
             marks[name] = tuple(push.view_image(frame, view.id) for frame in view.frames)
             # In the others corners are followed from there.
-            needed[name] = push.view_image(push.least_of(view), view.id)
+            least = push.least_of(view, open_frames(gaps, number))
+            needed[name] = None if least is None else push.view_image(least, view.id)
     odd_forces = {push.image: _odd_forces(push) for push in record.pushes}
     found: list[Inspection] = []
     if annotation is not None:
@@ -255,9 +256,9 @@ def _unknown_images(subject: Subject) -> Iterator[Inspection]:
 
 
 def _fitting(
-    one: Inspection, name: str, annotation: Annotation | None, frames: int, wanted: str, mark: str
+    one: Inspection, name: str, annotation: Annotation | None, frames: int, wanted: str, mark: str | None
 ) -> Inspection:
-    """Held against what the subject folder wants of this image; ``mark``: what of it has to be in the annotation."""
+    """Held against what the subject folder wants of this image; ``mark``: what of it has to be annotated, if known."""
     if one.seen["view"] not in (None, wanted):
         reason = f"{one.seen['file']}: found a {one.seen['view']} radiograph, wanted a {wanted} one"
         return Inspection(name, reason, one.seen)
@@ -266,7 +267,7 @@ def _fitting(
         rest = "1, at rest" if name in REST_IMAGES else f"{frames}, one for each of {each} in subject.json"
         return Inspection(name, f"{one.seen['file']}: found {one.seen['frames']} frames, wanted {rest}", one.seen)
     missing = one.missing
-    if annotation is None or mark not in annotation.images:
+    if mark is not None and (annotation is None or mark not in annotation.images):
         missing += (f"no corners of {mark} in {ANNOTATION_FILE}",)
     return Inspection(name, "", one.seen, missing, one.warnings)
 
