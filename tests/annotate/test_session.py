@@ -582,6 +582,26 @@ def test_slicers_millimetres_need_the_spacing_that_slicer_had(fine, monkeypatch)
         imported(fine, "a.mrk.json", slicers(1.0, "T5"), "rest/frontal")
 
 
+def test_no_unit_is_told_by_a_pixel_that_nobody_gave(unannotated):
+    path = unannotated / "rest/frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    del dataset.ImagerPixelSpacing
+    dataset.save_as(path)
+    values, scale = read_json(unannotated / "subject.json"), {"rest/frontal": {"vertebra": "L1", "width_mm": 42}}
+    (unannotated / "subject.json").write_text(json.dumps(values | {"xray": {"scale": scale}}), encoding="utf-8")
+    session = AnnotationSession(unannotated)
+    assert [session.radiographs.has_mm(name) for name in ALL] == [False, True, True]
+    # By 0.15 mm a pixel these would be pixels, or millimetres.
+    for per_pixel in (5.0, 1.0):
+        with pytest.raises(
+            SubjectError, match=r"how many mm a pixel has is not known .* or add 'spinestiffUnit': 'pixel'"
+        ):
+            imported(session, "a.mrk.json", slicers(per_pixel, "T5", "T6"), "rest/frontal")
+    stated = slicers(1.0, "T5", "T6").replace('"type"', '"spinestiffUnit": "pixel", "type"')
+    marks, said = imported(session, "a.mrk.json", stated, "rest/frontal")
+    assert set(marks["rest/frontal"].vertebrae) == {"T5", "T6"} and said == []
+
+
 def test_nothing_to_export_is_said(session):
     with pytest.raises(SubjectError, match="nothing to export"):
         exported(session, "csv")
