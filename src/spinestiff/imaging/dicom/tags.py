@@ -46,6 +46,9 @@ _WORDS = frozenset(
 )  # fmt: skip
 
 
+_DISPLAY = frozenset({"WindowCenter", "WindowWidth", "VOILUTFunction", "VOILUTSequence"})
+
+
 class MissingValue(RadiographError):
     """A radiograph lacks something that the user can give in subject.json."""
 
@@ -191,14 +194,15 @@ def own(dataset: Dataset, keyword: str) -> Any:
 
 
 def _value(dataset: Dataset, keyword: str) -> Any:
-    """Of the dataset itself, or of the functional groups, where every frame has to have the same."""
+    """Of the dataset itself, or of the functional groups, where every frame has to have the same; of what is a matter
+    of display only, the first frame's."""
     if keyword in dataset:
         return own(dataset, keyword)
     with named("the frames' functional groups"):
         found = [_grouped(group, keyword) for group in (dataset.get("SharedFunctionalGroupsSequence") or [])[:1]]
         found += [_grouped(group, keyword) for group in dataset.get("PerFrameFunctionalGroupsSequence") or []]
     there = [value for value in found if value is not None]
-    if any(str(value) != str(there[0]) for value in there[1:]):
+    if keyword not in _DISPLAY and any(str(value) != str(there[0]) for value in there[1:]):
         raise RadiographError(
             f"{keyword}: found values that differ from frame to frame, wanted one; export the frames as single files"
         )
