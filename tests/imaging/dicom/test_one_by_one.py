@@ -71,6 +71,19 @@ def test_a_coded_file_is_read_whole(file):
     assert len(open_radiographs(file(SERIES, change=deflate))) == 6
 
 
+@pytest.mark.parametrize("implicit", [True, False])
+def test_a_file_whose_elements_are_not_coded_as_its_header_says_is_read_whole(file, implicit):
+    """As the DICOM library reads it: a large one was told to be cut short."""
+    path = file(SERIES)
+    whole = read_radiographs(path)
+    dataset = pydicom.dcmread(path)
+    told = pydicom.uid.ExplicitVRLittleEndian if implicit else pydicom.uid.ImplicitVRLittleEndian
+    dataset.file_meta.TransferSyntaxUID = told
+    pydicom.dcmwrite(path, dataset, implicit_vr=implicit, little_endian=True, force_encoding=True)
+    for one, other in zip(open_radiographs(path), whole, strict=True):
+        np.testing.assert_array_equal(one.pixels, other.pixels)
+
+
 def overlaid(dataset):
     dataset.add_new(0x60000010, "US", 36)
     dataset.add_new(0x60000011, "US", 40)

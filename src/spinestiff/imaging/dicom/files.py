@@ -154,7 +154,8 @@ def read_dataset(path: Path) -> tuple[Dataset, str]:
 
 def read_header(path: Path) -> tuple[Dataset, int, int] | None:
     """A regular file without reading its pixels, or None where it has to be read whole: it is not uncompressed, little
-    endian DICOM, or its pixels begin far behind its start and it is small enough for that.
+    endian DICOM, it is coded otherwise than its header says, or its pixels begin far behind its start and it is small
+    enough for that.
 
     Returns
     -------
@@ -187,6 +188,9 @@ def read_header(path: Path) -> tuple[Dataset, int, int] | None:
     told = head[4:8] if syntax == _IMPLICIT else head[8:12]
     if head[:4] != _PIXELS_LITTLE_ENDIAN or len(told) < 4:
         return dataset, 0, 0
+    # As a length, which it is where no type stands before it, either would be odd.
+    if (head[4:6] in (b"OB", b"OW")) != (syntax == _EXPLICIT):
+        return None
     dataset.add(DataElement(_PIXELS, "OW", b""))
     start = at + (8 if syntax == _IMPLICIT else 12)
     return dataset, start, min(int.from_bytes(told, "little"), path.stat().st_size - start)
