@@ -275,6 +275,14 @@ def _fitting(
 def _seen(scans: Sequence[Scan]) -> dict[str, Any]:
     first = scans[0]
     tags, far, pitch, axes = first.tags, first.distances, first.spacing, first.directions
+    sources = first.provenance
+    # Where they are not both known, one of them may be; 0 counts as unknown.
+    detector, patient = tags.source_detector or None, tags.source_patient or None
+    if far is not None:
+        detector, patient = round(far.detector, 4), round(far.patient, 4)
+    else:
+        told = {"Detector": detector, "Patient": patient}
+        sources |= {f"source to {to.lower()}": f"DICOM DistanceSourceTo{to}" for to, mm in told.items() if mm}
     return {
         "file": first.name,
         "files": len(scans),
@@ -290,12 +298,12 @@ def _seen(scans: Sequence[Scan]) -> dict[str, Any]:
         "pixel_mm_at_patient": None
         if pitch is None or far is None
         else [round(pitch.row / far.magnification, 6), round(pitch.column / far.magnification, 6)],
-        "source_detector_mm": None if far is None else round(far.detector, 4),
-        "source_patient_mm": None if far is None else round(far.patient, 4),
+        "source_detector_mm": detector,
+        "source_patient_mm": patient,
         "view": None if axes is None else axes.view,
         "columns_to": None if axes is None else axes.column,
         "rows_to": None if axes is None else axes.row,
         "beam_to": None if axes is None else axes.beam,
         "times_s": [None if time is None else round(time, 4) for time in times_of(tuple(scans))],
-        "sources": first.provenance,
+        "sources": sources,
     }
