@@ -53,7 +53,7 @@ class Identity:
 
 
 def identity_of(dataset: Dataset) -> Identity:
-    """The identity in a dataset; what can't be read tells nothing."""
+    """The identity in a dataset; what can't be read tells nothing, but for PatientID. Raises RadiographError."""
     return Identity(*identity_tags(dataset))
 
 

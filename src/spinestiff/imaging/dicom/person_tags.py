@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from spinestiff.imaging.dicom.ordering import DAY_S
-from spinestiff.imaging.dicom.tags import clock_of, hash_of, ordinal, told
+from spinestiff.imaging.dicom.tags import clock_of, hash_of, hashed, ordinal, told
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -17,10 +18,10 @@ if TYPE_CHECKING:
 def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
     """For ``identity.Identity``: hashes of the patient's number and of name with birth date, the day, whether the
     patient was taken out."""
-    number, name, birth = (told(dataset, keyword) for keyword in ("PatientID", "PatientName", "PatientBirthDate"))
+    name, birth = (told(dataset, keyword) for keyword in ("PatientName", "PatientBirthDate"))
     person = hash_of(f"{name.casefold()}\0{birth}") if name and birth else ""
     removed = told(dataset, "PatientIdentityRemoved").upper() == "YES"
-    return (hash_of(number) if number else "", person), _day(told(dataset, key) for key in _DAYS), removed
+    return (hashed(dataset, "PatientID"), person), _day(told(dataset, key) for key in _DAYS), removed
 
 
 _DAYS = ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate")
@@ -109,7 +110,7 @@ def _words(dataset: Dataset) -> set[str]:
 
 
 def _moment(dataset: Dataset) -> float | None:
-    clocks = (clock_of(dataset, what) for what in ("Acquisition", "Content", "Series"))
+    clocks = (clock_of(partial(told, dataset), what) for what in ("Acquisition", "Content", "Series"))
     clock = next((clock for clock in clocks if clock is not None), None)
     if clock is None or clock >= DAY_S:
         return clock

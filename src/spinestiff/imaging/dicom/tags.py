@@ -11,8 +11,9 @@ import datetime
 import hashlib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -163,8 +164,8 @@ def read_tags(dataset: Dataset) -> Tags:
         image_laterality=code(dataset, "ImageLaterality"),
         laterality=code(dataset, "Laterality"),
         times=_frame_times(dataset, frames),
-        clock=clock_of(dataset, "Acquisition"),
-        content_clock=clock_of(dataset, "Content"),
+        clock=clock_of(partial(text, dataset), "Acquisition"),
+        content_clock=clock_of(partial(told, dataset), "Content"),
         instance=None if instance is None else int(instance),
         identity=hashed(dataset, "SOPInstanceUID"),
     )
@@ -372,15 +373,23 @@ def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:
     return tuple(float(t) for t in np.cumsum(steps) / 1000.0)
 
 
-def clock_of(dataset: Dataset, what: Literal["Acquisition", "Content", "Series"]) -> float | None:
-    """Seconds of that date and time since the year 1, or since midnight without a date; None if the file tells none."""
+def clock_of(value: Callable[[str], str], what: Literal["Acquisition", "Content", "Series"]) -> float | None:
+    """Seconds of that date and time since the year 1, or since midnight without a date; None if the file tells none.
+
+    ``value`` : of a keyword, "" for none.
+    """
     # Read by hand: values like 17:58:00 of old systems are worth having, and a bad time is no reason to refuse.
-    both = told(dataset, "AcquisitionDateTime") if what == "Acquisition" else ""
-    for date, time in ((both[:8], both[8:]), (told(dataset, f"{what}Date"), told(dataset, f"{what}Time"))):
+    both = value("AcquisitionDateTime") if what == "Acquisition" else ""
+    for date, time in ((both[:8], both[8:]), (value(f"{what}Date"), value(f"{what}Time"))):
         seconds = _seconds_of(time)
         if seconds is not None:
             return DAY_S * (ordinal(date) or 0) + seconds
     return None
+
+
+def text(dataset: Dataset, keyword: str) -> str:
+    """A value as text; "" where there is none."""
+    return str(own(dataset, keyword) or "").strip()
 
 
 def told(dataset: Dataset, keyword: str) -> str:
@@ -410,7 +419,7 @@ def ordinal(date: str) -> int | None:
 
 def hashed(dataset: Dataset, keyword: str) -> str:
     """Hash of a text; "" if there is none."""
-    value = str(own(dataset, keyword) or "").strip()
+    value = text(dataset, keyword)
     return hash_of(value) if value else ""
 
 
