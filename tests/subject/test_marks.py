@@ -74,7 +74,13 @@ def test_a_wrong_table_of_markers_is_refused_before_corners_are_followed(girl, m
     monkeypatch.setattr(steps, "track", lambda *args, **kwargs: pytest.fail("followed"))
     content = read_json(girl / "subject.json")
     axes = {"left": "+x", "up": "+y", "front": "+z"}
-    content["pushes"][1]["markers"] = {"file": "skin.csv", "unit": "mm", "axes": axes, "side": "front", "shown": {"a": [9.0, 9.0]}}
+    content["pushes"][1]["markers"] = {
+        "file": "skin.csv",
+        "unit": "mm",
+        "axes": axes,
+        "side": "front",
+        "shown": {"a": [9.0, 9.0]},
+    }
     write_json(girl / "subject.json", content)
     (girl / "skin.csv").write_text("marker,frame,x,y,z\na,0,1,2,3\n")
     words = r"skin\.csv: found 1 marker, wanted 3 to 60"
