@@ -17,6 +17,7 @@ import pytest
 from spinestiff.errors import RadiographError, SpinestiffError, SubjectError, TorsoError
 from spinestiff.files import (
     check_output,
+    check_writable,
     file_digest,
     read_exported_text,
     read_json,
@@ -328,6 +329,21 @@ def test_a_folder_in_the_way_is_one_line(tmp_path):
     (tmp_path / "results").write_text("a file")
     with pytest.raises(SubjectError, match="can't be written"):
         write_json(tmp_path / "results/run.json", {})
+
+
+def test_a_trial_whether_a_folder_can_be_written_leaves_nothing(tmp_path, monkeypatch):
+    (tmp_path / "there").mkdir()
+    for folder in (tmp_path / "a" / "b" / "c", tmp_path / "there", tmp_path / "there" / "d" / "e"):
+        check_writable(folder, "results")
+        assert [path.name for path in tmp_path.rglob("*")] == ["there"]
+
+    def fail(*_, **__):
+        raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr(Path, "touch", fail)
+    with pytest.raises(SubjectError, match=r"c: can't be written \(the disk is full\), but results go there"):
+        check_writable(tmp_path / "a" / "b" / "c", "results")
+    assert [path.name for path in tmp_path.rglob("*")] == ["there"]
 
 
 def test_digests_tell_every_change(tmp_path):

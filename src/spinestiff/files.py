@@ -121,7 +121,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def check_writable(folder: Path, what: str) -> None:
-    """Refuse a folder in which no file can be made before any work for it is done.
+    """Refuse a folder in which no file can be made before any work for it is done; nothing is left of the trial.
 
     Parameters
     ----------
@@ -131,17 +131,20 @@ def check_writable(folder: Path, what: str) -> None:
     ------
     SubjectError : no file can be made in it, or it can't be made itself.
     """
-    new, probe = not folder.exists(), folder / f".{secrets.token_hex(8)}.tmp"
+    new = [one for one in (folder, *folder.parents) if not os.path.exists(one)]
+    probe = folder / f".{secrets.token_hex(8)}.tmp"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.touch(exist_ok=False)
         probe.unlink()
-        if new:
-            folder.rmdir()
     except OSError as problem:
         raise SubjectError(
             f"{folder}: can't be written ({trouble(problem)}), but {what} go there; make it writable, or work on a copy"
         ) from None
+    finally:
+        with suppress(OSError):
+            for one in new:
+                one.rmdir()
 
 
 def write_bytes(

@@ -26,6 +26,7 @@ from spinestiff.imaging.projection import lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.study.side_views import marked_pedicles
 from spinestiff.subject.folder import image_corners, push_corners, read_annotation, read_rest, read_subject
+from spinestiff.subject.inspection import inspect
 from unannotated import CANARY, MM, drawn
 
 ALL = ("rest/frontal", "rest/lateral", "push/a")
@@ -229,12 +230,12 @@ def test_wrong_corners_are_named_and_wait_in_the_draft(session):
     assert line.startswith("rest/frontal: ") and "T7" in line
     mirrored = {name: [quad[i] for i in (1, 0, 3, 2)] for name, quad in drawn("rest/frontal").named().items()}
     marks = DraftImage.model_validate_json(json.dumps({"vertebrae": mirrored}))
-    assert "mirrored for this view" in session.judge.told("rest/frontal", marks).problem
+    assert "mirrored for this view" in session.judge.told("rest/frontal", {"rest/frontal": marks}).problem
 
 
 def test_the_angle_is_the_one_that_spinestiff_cobb_reads(session):
     marks = marked("rest/frontal")
-    judged = session.judge.told("rest/frontal", marks)
+    judged = session.judge.told("rest/frontal", {"rest/frontal": marks})
     session.save(draft(rest__frontal=marks), session.revision)
     (image,) = read_corners(session.annotation_path)
     read = read_cobb(image)
@@ -247,8 +248,13 @@ def test_the_angle_is_the_one_that_spinestiff_cobb_reads(session):
     assert (judged.cobb.largest.angle.upper, judged.cobb.largest.angle.lower) == (wanted.upper, wanted.lower)
     assert abs(wanted.degrees) > 20.0 and judged.problem == "" and judged.vertebrae == 17
     # Also while there are too few for a fit, and never in a lateral radiograph.
-    assert session.judge.told("rest/frontal", marked("rest/frontal", "T3", "T9")).cobb.largest.angle.lower == "T9"
-    assert session.judge.told("rest/lateral", marked("rest/lateral")).cobb is None
+    assert (
+        session.judge.told(
+            "rest/frontal", {"rest/frontal": marked("rest/frontal", "T3", "T9")}
+        ).cobb.largest.angle.lower
+        == "T9"
+    )
+    assert session.judge.told("rest/lateral", {"rest/lateral": marked("rest/lateral")}).cobb is None
 
 
 def test_the_angle_of_pixels_that_are_not_square_is_that_of_spinestiff_cobb(unannotated):
@@ -260,7 +266,7 @@ def test_the_angle_of_pixels_that_are_not_square_is_that_of_spinestiff_cobb(unan
     session = AnnotationSession(unannotated)
     session.save(whole(), session.revision)
     read = rest_reading(read_subject(unannotated)).largest
-    shown = session.judge.told("rest/frontal", marked("rest/frontal")).cobb.largest
+    shown = session.judge.told("rest/frontal", {"rest/frontal": marked("rest/frontal")}).cobb.largest
     assert shown.angle.degrees == pytest.approx(read.angle.degrees, abs=1e-9)
     assert (shown.angle.upper, shown.angle.lower) == (read.angle.upper, read.angle.lower)
     assert shown.sd_deg == pytest.approx(read.sd_deg, rel=1e-6)
@@ -277,7 +283,7 @@ def test_a_radiograph_that_stands_on_its_head_can_be_complete(unannotated):
     quads = {name: [[x, last - y] for x, y in quad] for name, quad in drawn("rest/frontal").named().items()}
     turned = DraftImage.model_validate({"vertebrae": quads})
     session = AnnotationSession(unannotated)
-    judged = session.judge.told("rest/frontal", turned)
+    judged = session.judge.told("rest/frontal", {"rest/frontal": turned})
     assert (judged.vertebrae, judged.problem, judged.cobb) == (17, "", None)
     session.save(Draft(schema_version=1, images={**whole().images, "rest/frontal": turned}), session.revision)
     assert session.judge.missing(session.marks) == []
@@ -286,13 +292,45 @@ def test_a_radiograph_that_stands_on_its_head_can_be_complete(unannotated):
     with pytest.raises(SubjectError, match="stands on its head"):
         exported(session, "csv")
     # What is wrong with it is told as of any other.
-    upside = session.judge.told("rest/frontal", marked("rest/frontal"))
+    upside = session.judge.told("rest/frontal", {"rest/frontal": marked("rest/frontal")})
     assert "the superior corners lie below" in upside.problem
+
+
+def test_corners_of_a_further_frame_that_begin_at_the_wrong_one_wait_in_the_draft(session):
+    """Alone they are in order; against the push's first frame they are turned by a right angle."""
+    (quad,) = drawn("push/a/1").named("T8").values()
+    turned = [
+        image
+        for by in (1, 3)
+        if (image := DraftImage.model_validate({"vertebrae": {"T8": np.roll(quad, by, 0).tolist()}}))
+        and not session.judge.told("push/a/1", {"push/a/1": image}).problem
+    ]
+    assert turned
+    for image in turned:
+        marks = {**whole().images, "push/a/1": image}
+        session.save(Draft(schema_version=1, images=marks), session.revision)
+        assert set(read_annotation(session.annotation_path).images) == set(ALL)
+        assert AnnotationSession(session.subject.folder).marks == marks
+        (line,) = session.judge.missing(session.marks)
+        assert line.startswith("push/a/1: vertebrae.T8: turned by ")
+        assert set(session.annotated().annotation.images) == set(ALL)
+    # Beside a first frame that is a draft itself nothing tells, and what follows it is kept.
+    marks["push/a"] = marked("push/a", "T8")
+    session.save(Draft(schema_version=1, images=marks), session.revision)
+    assert set(read_annotation(session.annotation_path).images) == {"rest/frontal", "rest/lateral", "push/a/1"}
+
+
+def test_support_points_outside_the_picture_are_told_before_tracking_refuses_them(session):
+    supports = marked("push/a").model_copy(update={"supports": {"pelvis": ((9999.0, 2.0),)}})
+    session.save(Draft(schema_version=1, images={**whole().images, "push/a": supports}), session.revision)
+    (line,) = session.judge.missing(session.marks)
+    assert line.startswith("push/a: supports.pelvis: found a point at column 9999")
+    assert "push/a" not in read_annotation(session.annotation_path).images
 
 
 def test_points_that_do_not_belong_there_are_said_to(session):
     supports = marked("rest/frontal").model_copy(update={"supports": {"pelvis": ((1.0, 2.0),)}})
-    assert "supports" in session.judge.told("rest/frontal", supports).problem
+    assert "supports" in session.judge.told("rest/frontal", {"rest/frontal": supports}).problem
 
 
 def test_a_later_frame_is_annotated_by_one_vertebra(session):
@@ -351,7 +389,7 @@ def test_pedicles_that_are_swapped_or_outside_are_said_to_be_before_a_fit_reads_
         ((left, far), "pedicles.T9: found a pedicle"),
     ):
         marks = marked("push/a").model_copy(update={"pedicles": {"T9": pair}})
-        assert session.judge.told("push/a", marks).problem.startswith(why)
+        assert session.judge.told("push/a", {"push/a": marks}).problem.startswith(why)
 
 
 def test_a_radiograph_that_can_not_be_read_keeps_its_annotation(session):
@@ -544,6 +582,26 @@ def test_slicers_millimetres_need_the_spacing_that_slicer_had(fine, monkeypatch)
         imported(fine, "a.mrk.json", slicers(1.0, "T5"), "rest/frontal")
 
 
+def test_no_unit_is_told_by_a_pixel_that_nobody_gave(unannotated):
+    path = unannotated / "rest/frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    del dataset.ImagerPixelSpacing
+    dataset.save_as(path)
+    values, scale = read_json(unannotated / "subject.json"), {"rest/frontal": {"vertebra": "L1", "width_mm": 42}}
+    (unannotated / "subject.json").write_text(json.dumps(values | {"xray": {"scale": scale}}), encoding="utf-8")
+    session = AnnotationSession(unannotated)
+    assert [session.radiographs.has_mm(name) for name in ALL] == [False, True, True]
+    # By 0.15 mm a pixel these would be pixels, or millimetres.
+    for per_pixel in (5.0, 1.0):
+        with pytest.raises(
+            SubjectError, match=r"how many mm a pixel has is not known .* or add 'spinestiffUnit': 'pixel'"
+        ):
+            imported(session, "a.mrk.json", slicers(per_pixel, "T5", "T6"), "rest/frontal")
+    stated = slicers(1.0, "T5", "T6").replace('"type"', '"spinestiffUnit": "pixel", "type"')
+    marks, said = imported(session, "a.mrk.json", stated, "rest/frontal")
+    assert set(marks["rest/frontal"].vertebrae) == {"T5", "T6"} and said == []
+
+
 def test_nothing_to_export_is_said(session):
     with pytest.raises(SubjectError, match="nothing to export"):
         exported(session, "csv")
@@ -587,6 +645,28 @@ def test_radiographs_from_other_sides_are_offered(unannotated):
     assert not any("side" in line for line in session.judge.missing({"push/a/1/side": enough}))
     (unannotated / "pushes" / "b.dcm").unlink()
     assert AnnotationSession(unannotated).absent == ("push/a/1/side",)
+
+
+@pytest.mark.parametrize(
+    ("forces", "needed"),
+    [([0, 20, None], [False, True]), ([0, None, 40], [True, False]), ([0, None, None], [False, False])],
+)
+def test_marks_of_a_radiograph_whose_force_is_open_are_not_asked_for(unannotated, forces, needed):
+    record = json.loads((unannotated / "subject.json").read_text(encoding="utf-8"))
+    record["pushes"][0] |= {
+        "views": [{"id": "side", "kind": "lateral", "files": "pushes/b.dcm", "frames": [2, 1]}], "forces_n": forces,
+    }  # fmt: skip
+    (unannotated / "subject.json").write_text(json.dumps(record), encoding="utf-8")
+    view = lateral_view(shape=(640, 448), pixel=MM * 1500.0 / 1340.0)
+    pixels = [sixteen_bit(phantom(kind="lateral", bend=bend).pixels) for bend in (-20.0, -18.0)]
+    write_radiographs(unannotated / "pushes" / "b.dcm", np.stack(pixels), view)
+    names = ("push/a/2/side", "push/a/1/side")
+    session = AnnotationSession(unannotated)
+    assert session.views == dict(zip(names, needed))
+    asked = [line for line in session.judge.missing({}) if line.partition(":")[0] in names]
+    assert asked == [f"{name}: no vertebra marked yet" for name, need in zip(names, needed) if need]
+    (side,) = [one for one in inspect(unannotated) if one.image == "push/a, view side"]
+    assert side.missing == tuple(f"no corners of {n} in annotation.json" for n, need in zip(names, needed) if need)
 
 
 def test_a_vertebra_that_sets_the_millimetres_can_be_marked_first(unannotated):

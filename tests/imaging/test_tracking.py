@@ -564,9 +564,9 @@ def test_vertebrae_of_a_rendered_torso():
     from spinestiff.anatomy.state import TorsoState
     from spinestiff.anatomy.template import template_torso
     from spinestiff.imaging.features import silhouette_shares, state_features
-    from spinestiff.imaging.synthetic.detector import Exposure
+    from spinestiff.imaging.synthetic.detector import Exposure, expose
     from spinestiff.imaging.synthetic.materials import Material
-    from spinestiff.imaging.synthetic.rendering import Absorber, render_radiograph
+    from spinestiff.imaging.synthetic.rendering import Absorber, thicknesses
 
     torso = template_torso(150.0)
     rest = torso.rest_pose
@@ -597,7 +597,7 @@ def test_vertebrae_of_a_rendered_torso():
         for surface, position, rotation in zip(torso.bone_surfaces, state.bone_positions, state.bone_rotations):
             world = surface.vertices @ rotation.T + position
             bodies.append(Absorber(world, surface.faces, Material.BONE, 0.28, 0.9, 0.72))
-        return render_radiograph(bodies, view, Exposure(factor=factor), seed).astype(np.float32)
+        return expose(thicknesses(bodies, view), view, Exposure(factor=factor), seed).astype(np.float32)
 
     states = [posed(push) for push in (0.0, 6.0, 12.0)]
     images = [rendered(s, p, i, f) for i, (s, p, f) in enumerate(zip(states, (0.0, 6.0, 12.0), (1.0, 1.25, 0.8)))]

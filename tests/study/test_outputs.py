@@ -7,8 +7,8 @@ import pkgutil
 
 from spinestiff import subject
 from spinestiff.study.runner import MADE_BY
-from spinestiff.subject.folder import READ_AGAIN
 from spinestiff.subject.outcomes import OutcomeFile
+from spinestiff.subject.output_places import READ_AGAIN
 
 
 def test_every_result_that_is_read_is_on_the_list():

@@ -19,8 +19,6 @@ from spinestiff.study.starting_torso import subject_template
 from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.folder import (
     check_frames,
-    check_output_apart,
-    check_output_beside,
     image_corners,
     image_pedicles,
     image_supports,
@@ -32,6 +30,7 @@ from spinestiff.subject.folder import (
     write_annotation,
     write_subject,
 )
+from spinestiff.subject.output_places import check_output_apart, check_output_beside
 from spinestiff.subject.records import SubjectRecord
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/subject-folder.md").read_text(encoding="utf-8")

@@ -233,6 +233,21 @@ def test_what_a_fit_lacks_is_listed(folder):
     assert rest.seen["pixel_mm_at_detector"] is None and rest.seen["source_detector_mm"] == 1500.0
 
 
+def test_a_distance_that_the_file_has_is_shown_where_the_other_is_missing(tmp_path):
+    write_radiographs(
+        tmp_path / "a.dcm", np.arange(400, dtype=np.uint16).reshape(1, 20, 20), frontal_view(shape=(20, 20))
+    )
+    without(tmp_path / "a.dcm", "DistanceSourceToPatient", DistanceSourceToDetector="1500")
+    (one,) = inspect(tmp_path)
+    assert (one.seen["source_detector_mm"], one.seen["source_patient_mm"]) == (1500.0, None)
+    assert one.seen["sources"]["source to detector"] == "DICOM DistanceSourceToDetector"
+    assert one.missing[0].startswith("no DistanceSourceToPatient;")
+    without(tmp_path / "a.dcm", DistanceSourceToDetector="0", DistanceSourceToPatient="1340")
+    (one,) = inspect(tmp_path)
+    assert (one.seen["source_detector_mm"], one.seen["source_patient_mm"]) == (None, 1340.0)
+    assert "source to detector" not in one.seen["sources"]
+
+
 def test_images_of_an_annotation_that_the_subject_has_not_are_refused(folder):
     annotation = json.loads((folder / "annotation.json").read_text())
     for name in ("push/other", "push/right-8/99"):

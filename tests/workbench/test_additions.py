@@ -142,7 +142,7 @@ def test_a_picture_is_pixels_and_nothing_else(served, tmp_path):
         assert not any(part.encode() in content for part in CANARY.split("^"))
         shown = np.frombuffer(content, "<u2").reshape(tall, wide)
         path = served.bench.uploads.place(upload) / "files" / name
-        (scan,) = read_scans(path, Geometry())
+        (scan,), _ = read_scans(path, Geometry())
         assert np.corrcoef(shrunk(scan.pixels[0], 96, 128).ravel(), shown.ravel())[0, 1] > 0.999
     assert served.ask("POST", "/api/look/picture", {**asked, "name": "../secret"})[0] == 404
 

@@ -78,7 +78,8 @@ def imported(
             continue
         name = shown if len(found.images) == 1 and not _known(session, image.image) else image.image
         check_image_name(session.subject, name)
-        pixels, words = in_pixels(image, session.radiographs.frames(name)[0])
+        has_mm = session.radiographs.has_mm(name)
+        pixels, words = in_pixels(image, session.radiographs.frames(name)[0] if has_mm else None)
         said += words
         quads = replace(pixels, first_on=first_on(session.radiographs.view(name))).annotation_quads()
         before = session.marks.get(name, DraftImage())
@@ -89,8 +90,10 @@ def imported(
     return marks, said
 
 
-def in_pixels(image: ImageCorners, radiograph: Radiograph) -> tuple[ImageCorners, list[str]]:
+def in_pixels(image: ImageCorners, radiograph: Radiograph | None) -> tuple[ImageCorners, list[str]]:
     """Corners of a file in the radiograph's pixels, and what should be known of the unit they had.
+
+    ``radiograph`` : None where its millimetres are not known yet.
 
     Slicer writes those of a picture in mm where the picture has a spacing, and does not say so. A vertebra is too wide
     or too narrow in one of the two units, unless a pixel is nearly a millimetre.
@@ -105,6 +108,12 @@ def in_pixels(image: ImageCorners, radiograph: Radiograph) -> tuple[ImageCorners
         raise SubjectError(
             f"{image.image}: the corners are in mm of a scene, and where the radiograph lay in it is not known; wanted "
             "pixels (column, row), e.g. as CSV"
+        )
+    if radiograph is None:
+        raise SubjectError(
+            f"{image.image}: the file does not say whether its corners are pixels or mm, and how many mm a pixel has "
+            f"is not known before a vertebra is marked; write CSV in pixels, or add {UNIT_KEY!r}: 'pixel' to the "
+            "list if they are pixels"
         )
     a_pixel = radiograph.view.pixel_spacing
     mm_of = {"px": a_pixel, "mm": np.ones(2)}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +18,15 @@ from spinestiff.curves.corner_files import ImageCorners
 from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
 from spinestiff.imaging.features import view_kind
 from spinestiff.imaging.projection import XRayView
-from spinestiff.subject.annotation_record import FEWEST_OF_VIEW, FEWEST_VERTEBRAE, Annotation, ImageAnnotation
-from spinestiff.subject.folder import Subject, image_corners, image_pedicles
+from spinestiff.subject.annotation_record import (
+    FEWEST_OF_VIEW,
+    FEWEST_VERTEBRAE,
+    FURTHER_FRAME,
+    Annotation,
+    ImageAnnotation,
+)
+from spinestiff.subject.folder import Subject
+from spinestiff.subject.marks import check_marks_in
 from spinestiff.subject.record_reading import complaint_of
 from spinestiff.subject.records import ANNOTATION_FILE, SCHEMA_VERSION, SUBJECT_FILE
 from spinestiff.words import counted
@@ -63,18 +72,23 @@ class Judge:
         self._subject, self._radiographs = subject, radiographs
         self._images, self._absent, self._views = images, absent, views
 
-    def told(self, name: str, marks: DraftImage) -> Judged:
-        """What can be told of marks in an image: complete or why not, and its Cobb angle."""
+    def told(self, name: str, marks: Mapping[str, DraftImage]) -> Judged:
+        """What can be told of the marks in an image: complete or why not, and its Cobb angle.
+
+        Parameters
+        ----------
+        marks : of all images, by name; a push's further frames are held against its first.
+        """
         problem, cobb = "", None
         try:
-            cobb = self._cobb(name, marks)
-            self._checked(name, marks.whole())
+            cobb = self._cobb(name, marks[name])
+            self._checked(name, marks)
             self._radiographs.view(name)
         except SpinestiffError as error:
             problem = str(error)
-        for where in (f"{self._subject.folder / ANNOTATION_FILE}: images.{name}.", f"{name}.vertebrae: "):
+        for where in (f"{self._subject.folder / ANNOTATION_FILE}: ", f"images.{name}.", f"{name}.", "vertebrae: "):
             problem = problem.removeprefix(where)
-        return Judged(len(marks.vertebrae), problem, cobb)
+        return Judged(len(marks[name].vertebrae), problem, cobb)
 
     def missing(self, marks: Mapping[str, DraftImage]) -> list[str]:
         """What a fit still needs, a line each, in words; empty when there is all."""
@@ -87,7 +101,7 @@ class Judge:
             if image.empty and not self._views.get(name, True):
                 continue
             fewest = FEWEST_OF_VIEW if name in self._views else FEWEST_VERTEBRAE
-            problem = self.told(name, image).problem
+            problem = self.told(name, {**marks, name: image}).problem
             if not image.vertebrae:
                 lines.append(f"{name}: no vertebra marked yet")
             elif len(image.vertebrae) < fewest:
@@ -96,37 +110,40 @@ class Judge:
             elif problem:
                 lines.append(f"{name}: {problem}")
         for name in sorted(set(marks) - set(self._images)):
-            problem = "" if marks[name].empty else self.told(name, marks[name]).problem
+            problem = "" if marks[name].empty else self.told(name, marks).problem
             if problem:
                 lines.append(f"{name}: {problem}")
         return lines
 
-    def complete(self, name: str, marks: DraftImage) -> ImageAnnotation | None:
-        """The image as a fit will take it; None where it is not complete."""
+    def complete(self, marks: Mapping[str, DraftImage]) -> dict[str, ImageAnnotation]:
+        """The images as a fit will take them, those alone that are complete, beside each other."""
+        found = {name: self._complete(name, marks) for name in marks}
+        return {name: image for name, image in found.items() if image is not None}
+
+    def _complete(self, name: str, marks: Mapping[str, DraftImage]) -> ImageAnnotation | None:
         try:
-            return self._checked(name, marks.whole())
+            return self._checked(name, marks)
         except SubjectError:
             return None
 
-    def _checked(self, name: str, image: ImageAnnotation) -> ImageAnnotation:
-        """The image itself, checked as a fit will. Raises SubjectError."""
-        try:
-            Annotation(schema_version=SCHEMA_VERSION, images={name: image})
-        except ValidationError as error:
-            raise SubjectError(complaint_of(error).removeprefix("images: ")) from None
-        try:
-            view = self._radiographs.view(name)
-        except RadiographError:
-            # A radiograph that can't be read today doesn't make its annotation a draft.
-            return image
-        subject = self.with_marks({name: image})
-        image_corners(subject, name, view)
-        image_pedicles(subject, name, view)
+    def _checked(self, name: str, marks: Mapping[str, DraftImage]) -> ImageAnnotation:
+        """The image, checked as a fit will, beside the push's first frame if that is complete. Raises SubjectError."""
+        image = marks[name].whole()
+        further = re.fullmatch(FURTHER_FRAME, name)
+        first = self._complete(further["push"], marks) if further and further["push"] in marks else None
+        beside = {further["push"]: first} if further and first else {}
+        subject = self.with_marks({**beside, name: image})
+        # A radiograph that can't be read today doesn't make its annotation a draft.
+        with suppress(RadiographError):
+            check_marks_in(subject, (name,), self._radiographs.view(name))
         return image
 
     def with_marks(self, images: dict[str, ImageAnnotation]) -> Subject:
-        """The subject with these annotated images and no others."""
-        return replace(self._subject, annotation=Annotation(schema_version=SCHEMA_VERSION, images=images))
+        """The subject with these annotated images and no others. Raises SubjectError where they contradict another."""
+        try:
+            return replace(self._subject, annotation=Annotation(schema_version=SCHEMA_VERSION, images=images))
+        except ValidationError as error:
+            raise SubjectError(complaint_of(error).removeprefix("images: ")) from None
 
     def _cobb(self, name: str, marks: DraftImage) -> CobbReading | None:
         view = self._radiographs.view(name)

@@ -22,7 +22,7 @@ from spinestiff.subject.records import LATERAL, REST_IMAGES, ScaleRecord
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
 KEPT = 3
 STAND_IN = ScaleRecord(object_mm=6.0, object_px=((0.0, 0.0), (40.0, 0.0)), plane="detector")
-"""A pixel 0.15 mm wide, where millimetres come from a vertebra still to be marked; no length is shown or kept."""
+"""A pixel 0.15 mm wide, where millimetres come from a vertebra still to be marked; no length is kept or shown."""
 Pictures = tuple[tuple[str, int, int, int], ...]
 
 
@@ -34,6 +34,7 @@ class KeptRadiographs:
         self._lock = RLock()
         self._frames: OrderedDict[str, Sequence[Radiograph]] = OrderedDict()
         self._views: dict[str, XRayView] = {}
+        self._without_mm: set[str] = set()
 
     def frames(self, name: str) -> Sequence[Radiograph]:
         """The radiographs of an image by its name in the annotation; of a push all, whichever frame is named.
@@ -62,9 +63,16 @@ class KeptRadiographs:
                 self._views[image] = self.frames(name)[0].view
             return self._views[image]
 
+    def has_mm(self, name: str) -> bool:
+        """Whether the millimetres of an image's view are its own, and no stand-in's. Raises as ``frames``."""
+        with self._lock:
+            self.view(name)
+            return image_of(name) not in self._without_mm
+
     def forget(self) -> None:
         """Read all anew from now on."""
         with self._lock:
+            self._without_mm.clear()
             self._frames.clear()
             self._views.clear()
 
@@ -78,7 +86,9 @@ class KeptRadiographs:
         try:
             return _frames_of(self._scaled(others), name)
         except MissingValue:
-            return _frames_of(self._scaled({**others, name: STAND_IN}), name)
+            frames = _frames_of(self._scaled({**others, name: STAND_IN}), name)
+            self._without_mm.add(name)
+            return frames
 
     def _scaled(self, scale: dict[str, ScaleRecord]) -> Subject:
         xray = self._subject.record.xray.model_copy(update={"scale": scale})

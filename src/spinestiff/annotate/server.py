@@ -23,6 +23,7 @@ from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY
 from spinestiff.loopback.asking import Body, bare_application, sent
 from spinestiff.loopback.guard import Access, Guard, own_origins
 from spinestiff.loopback.serving import LOOPBACK, listening, run_server, shipped
+from spinestiff.subject.gaps import open_frames
 from spinestiff.subject.records import LATERAL, REST_IMAGES
 from spinestiff.words import push_named, sentence
 
@@ -63,7 +64,7 @@ def application(session: AnnotationSession) -> FastAPI:
     @app.post("/api/judge")
     def judge(body: Body) -> dict[str, Any]:
         asked = sent(body, Judge)
-        return judged_record(session.judge.told(asked.image, asked.marks))
+        return judged_record(session.judge.told(asked.image, {**session.marks, asked.image: asked.marks}))
 
     @app.post("/api/propose")
     def propose(body: Body) -> dict[str, Any]:
@@ -107,7 +108,7 @@ def session_record(session: AnnotationSession) -> dict[str, Any]:
             images.append({"name": name, "title": f"Rest, {kind}", "kind": kind, "forces": [None], "roles": [None]})
         else:
             push = session.subject.push(name.split("/")[1])
-            unknown = {i for gap in session.subject.gaps if gap.push == record.pushes.index(push) for i in gap.frames}
+            unknown = open_frames(session.subject.gaps, record.pushes.index(push))
             forces = [None if i in unknown else force for i, force in enumerate(push.forces_n)]
             title = sentence(push_named(push.id))
             if name in session.views:

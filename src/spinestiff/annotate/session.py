@@ -70,7 +70,7 @@ class AnnotationSession:
         self._made_of = _digest(Path(folder) / SUBJECT_FILE)
         self.subject = read_unannotated(folder)
         wanted = annotatable(self.subject.record)
-        self.views = annotatable_views(self.subject.record)
+        self.views = annotatable_views(self.subject)
         self.images = tuple(name for name in (*wanted, *self.views) if self._offered(name))
         needed = (*wanted, *(name for name, needed in self.views.items() if needed))
         self.absent = tuple(name for name in needed if name != LATERAL and name not in self.images)
@@ -147,13 +147,13 @@ class AnnotationSession:
                 )
             self._refuse_unknown(draft.images)
             marked = {name: image for name, image in draft.images.items() if not image.empty}
-            whole = {name: image for name, marks in marked.items() if (image := self.judge.complete(name, marks))}
+            whole = self.judge.complete(marked)
+            annotation = self.judge.with_marks(whole).annotation
             partial = {name: image for name, image in marked.items() if name not in whole}
             try:
                 # What moves from one file to the other is in both for a moment, never in none.
                 self._write_draft(partial | {name: marked[name] for name in self._drafted if name in marked})
                 if whole or self.annotation_path.is_file():
-                    annotation = Annotation(schema_version=SCHEMA_VERSION, images=whole)
                     write_annotation(self.subject.folder, annotation)
                 self._write_draft(partial)
             finally:
@@ -171,7 +171,8 @@ class AnnotationSession:
 
     def _as_kept(self, marks: Mapping[str, DraftImage]) -> dict[str, ImageAnnotation | DraftImage]:
         """Marks as the files keep them: what only proposes goes with the draft."""
-        return {name: self.judge.complete(name, image) or image for name, image in marks.items() if not image.empty}
+        marked = {name: image for name, image in marks.items() if not image.empty}
+        return marked | self.judge.complete(marked)
 
     def leans(self, name: str) -> dict[str, float]:
         """How far vertebrae lean to the side, rad, as the frontal rest radiograph's marks tell a lateral radiograph."""
@@ -183,8 +184,7 @@ class AnnotationSession:
     def annotated(self) -> Subject:
         """The subject with what is complete of its annotation."""
         with self.lock:
-            whole = {name: image for name, marks in self.marks.items() if (image := self.judge.complete(name, marks))}
-        return self.judge.with_marks(whole)
+            return self.judge.with_marks(self.judge.complete(self.marks))
 
     def _refuse_unknown(self, names: Iterable[str]) -> None:
         for name in names:

@@ -38,7 +38,7 @@ def cobb(
     SubjectError : an unknown option's value, a noise in pixels of corners in mm, or a folder or file that can't be
         read.
     """
-    from spinestiff.subject.folder import check_output_apart
+    from spinestiff.subject.output_places import check_output_apart
 
     chosen = _definition(definition)
     side = _side(patient_left)
@@ -84,7 +84,8 @@ def _of_folder(
 ) -> int:
     from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses
     from spinestiff.study.wording import response_lines
-    from spinestiff.subject.folder import check_output_beside, read_subject
+    from spinestiff.subject.folder import read_subject
+    from spinestiff.subject.output_places import check_output_beside
 
     subject = read_subject(folder)
     for out, option in ((picture, "--picture"), (table, "--csv")):

@@ -164,7 +164,7 @@ def export(
         _export_drawn(file, kind or USUAL_FORMAT, out, draws)
         return
     from spinestiff.anatomy.export import FORMATS, export_torso
-    from spinestiff.subject.folder import check_output_apart, check_output_beside
+    from spinestiff.subject.output_places import check_output_apart, check_output_beside
 
     kind = _format(kind, out)
     chosen = FORMATS[kind]
@@ -207,7 +207,7 @@ def _export_drawn(folder: Path | None, kind: str, out: Path | None, draws: int) 
     from spinestiff.app.progress import progress
     from spinestiff.study.drawn import TABLE, check_format, drawn_ratios, export_drawn
     from spinestiff.study.visit import open_visit
-    from spinestiff.subject.folder import check_output_beside
+    from spinestiff.subject.output_places import check_output_beside
     from spinestiff.words import counted
 
     if folder is None or not folder.is_dir() or out is None:

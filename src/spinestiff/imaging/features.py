@@ -108,14 +108,12 @@ class Features(ShortRepr):
     jacobian : (V, 4, 2, 6), derivative in (dt, dw) of the vertebra's own bone, mm/mm and mm/rad.
     corners : (V, 4, 2) mm on the detector, the silhouette's corners.
     angle : (V,) rad, turn of the box in the picture, from u towards v.
-    undetermined : (V,) bool, the orientation by covariance means little (near-square box); never set for Procrustes.
     """
 
     z: Floats
     jacobian: Floats
     corners: Floats
     angle: Floats
-    undetermined: np.ndarray
 
 
 def view_kind(view: XRayView) -> Literal["frontal", "lateral"]:
@@ -206,16 +204,14 @@ def state_features(
     # The patient plane's picture is the detector's, shrunk by the magnification.
     moves = (jacobian / view.magnification) @ points.jacobian(state)
     moves = moves.reshape(count, *FEATURE_SHAPE, 6)
-    boxes = reference_boxes(torso, view)
-    placed = place_boxes(seen, boxes, orientation, used, torso.vertebrae)
+    placed = place_boxes(seen, reference_boxes(torso, view), orientation, used, torso.vertebrae)
     turned = np.einsum("vkic,vki->vc", moves, placed.angle_gradient)
     centre = np.einsum("vkic,vk->vic", moves, placed.centre_weights)
     # z_k = v + R (r_k - r_mean): the turn moves it at right angles to its arm.
     arms = placed.z - placed.centre[:, None, :]
     quarter = np.stack([-arms[..., 1], arms[..., 0]], -1)
     full = centre[:, None] + quarter[..., None] * turned[:, None, None, :]
-    undetermined = near_square(boxes) if orientation == "covariance" else np.zeros(count, dtype=bool)
-    return Features(placed.z, full, detector.reshape(count, *FEATURE_SHAPE), placed.angle, undetermined)
+    return Features(placed.z, full, detector.reshape(count, *FEATURE_SHAPE), placed.angle)
 
 
 def target_features(

@@ -6,6 +6,7 @@ and the image's middle.
 
 from __future__ import annotations
 
+import warnings
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,7 +24,7 @@ from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_MAPPED_BYTES, declar
 from spinestiff.imaging.dicom.greys import DisplayCurve
 from spinestiff.imaging.dicom.layout import MODALITIES, MOST_FRAMES
 from spinestiff.imaging.dicom.millimetres import AGREEMENT, Geometry, Scale
-from spinestiff.imaging.dicom.ordering import dated, ordered
+from spinestiff.imaging.dicom.ordering import dated, ordered, times_told
 from spinestiff.imaging.dicom.orientation import lps_from_world, world_from_lps
 from spinestiff.imaging.dicom.reading import FramesOnDisk, Scan, read_frames, read_scan
 from spinestiff.imaging.dicom.tags import coded_word, shown
@@ -131,11 +132,18 @@ def read_radiographs(
     centre : (3,) mm, the world point that the principal ray passes in the patient plane.
     within : folder that every file has to lie in, links followed.
 
+    Warns
+    -----
+    UserWarning : what is odd about the order of a folder's files.
+
     Raises
     ------
     RadiographError : whatever is wrong with a file, in one line with its name.
     """
-    return _radiographs(read_scans(Path(path), geometry or Geometry(), within), centre)
+    scans, odd = read_scans(Path(path), geometry or Geometry(), within)
+    if odd:
+        warnings.warn(odd, stacklevel=2)
+    return _radiographs(scans, centre)
 
 
 def open_radiographs(
@@ -203,22 +211,22 @@ def times_of(scans: tuple[Scan, ...]) -> tuple[float | None, ...]:
     """Seconds since the first frame, of the frames of one file or of single-frame files in order."""
     if len(scans) == 1:
         return scans[0].tags.times
-    clocks = dated([scan.tags.clock for scan in scans])
+    clocks = dated(times_told(*_clocks(scans)))
     if clocks is None or any(clock is None for clock in clocks):
         return (None,) * len(scans)
     return tuple((clock or 0.0) - (clocks[0] or 0.0) for clock in clocks)
 
 
-def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple[Scan, ...]:
-    """One file, or the single-frame files of a folder in their order; like ``read_radiographs``, but what the user can
-    give may be missing.
+def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple[tuple[Scan, ...], str]:
+    """One file, or the single-frame files of a folder in their order, and what is odd about that, "" if nothing; like
+    ``read_radiographs``, but what the user can give may be missing.
 
     Raises
     ------
     RadiographError : a file that can't be read, files that are no series.
     """
     if not path.is_dir():
-        return (read_scan(path, given, within),)
+        return (read_scan(path, given, within),), ""
     files = candidates(path)
     for file in files:
         regular_file(file, RadiographError, within=within, name=file.name)
@@ -232,7 +240,7 @@ def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple
                 f"{file.name}: found {count} frames, wanted 1, as it lies among {len(files)} files; keep it apart"
             )
         scans.append(scan)
-        if sum(_in_memory(scan) for scan in scans) > 2 * MOST_BYTES:
+        if sum(_in_memory(scan) for scan in scans) > MOST_BYTES:
             raise RadiographError(
                 f"{path.name}: found more than {MOST_BYTES // 2**20} MB of pixels in {len(files)} files, wanted less "
                 "of files that are compressed; export them uncompressed, or crop them"
@@ -240,19 +248,24 @@ def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple
     return in_order(path.name, scans)
 
 
-def in_order(folder: str, scans: list[Scan]) -> tuple[Scan, ...]:
-    """Single-frame files as one sequence.
+def in_order(folder: str, scans: list[Scan]) -> tuple[tuple[Scan, ...], str]:
+    """Single-frame files as one sequence, and what is odd about its order, "" if nothing.
 
     Raises
     ------
     RadiographError : they are none, or their order is unknown.
     """
     if len(scans) == 1:
-        return tuple(scans)
+        return tuple(scans), ""
     _check_series(scans)
-    order = ordered(folder, [scan.name for scan in scans], [scan.tags.clock for scan in scans],
-                    [scan.tags.instance for scan in scans])  # fmt: skip
-    return tuple(scans[i] for i in order)
+    order, odd = ordered(folder, [scan.name for scan in scans], *_clocks(scans))
+    return tuple(scans[i] for i in order), odd
+
+
+def _clocks(scans: Sequence[Scan]) -> tuple[list[float | None], list[int | None], list[float | None]]:
+    """Times of acquisition, numbers and times of content, as the headers have them."""
+    tags = [scan.tags for scan in scans]
+    return [one.clock for one in tags], [one.instance for one in tags], [one.content_clock for one in tags]
 
 
 def candidates(folder: Path) -> list[Path]:
@@ -313,7 +326,7 @@ def _check_series(scans: list[Scan]) -> None:
         if layout != other:
             found, wanted = ("{} x {}".format(*size) for size in (layout, other))
             raise RadiographError(f"{scan.name}: found {found}, wanted {wanted} like {first.name}; keep them apart")
-        if scan.tags.patient != first.tags.patient:
+        if not scan.whose.may_be_of(first.whose):
             raise RadiographError(f"{scan.name}: found another patient than in {first.name}; keep them apart")
         if scan.directions is not None and first.directions is not None:
             mine, its = np.array(scan.directions.axes), np.array(first.directions.axes)
@@ -343,8 +356,8 @@ def _same_geometry(one: Scan, other: Scan) -> bool:
 
 
 def _in_memory(scan: Scan) -> int:
-    """Bytes of pixels that are in memory."""
-    return 0 if isinstance(scan.pixels, FramesOnDisk) else sum(frame.nbytes for frame in scan.pixels)
+    """Bytes of pixels, as uncompressed in the file, of what is in memory."""
+    return 0 if isinstance(scan.pixels, FramesOnDisk) else scan.layout.frames * scan.layout.frame_bytes
 
 
 def _radiographs(scans: tuple[Scan, ...], centre: ArrayLike) -> Sequence[Radiograph]:

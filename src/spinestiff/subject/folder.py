@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -17,13 +17,13 @@ import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
-from spinestiff.errors import SpinestiffError, SubjectError, SubjectGaps
-from spinestiff.files import check_output, no_folder, regular_file, regular_files, trouble, write_json
+from spinestiff.errors import SubjectError, SubjectGaps
+from spinestiff.files import no_folder, regular_file, regular_files, trouble, write_json
 from spinestiff.imaging.dicom.files import MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.mechanics.loads import USUAL_LIMIT_N
 from spinestiff.subject.annotation_record import FURTHER_FRAME, FURTHER_VIEW, Annotation, ImageAnnotation
-from spinestiff.subject.gaps import Gap, read_open_record
+from spinestiff.subject.gaps import Gap, open_frames, read_open_record
 from spinestiff.subject.record_reading import read_record, shown_key
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -43,12 +43,6 @@ if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
     from spinestiff.imaging.radiograph import Radiograph
 
-READ_AGAIN = (
-    "run.json", "tracked.json", "response.json", "frames.json", "torso.npz", "personalised.json", "training.npz",
-    "estimate.json", "predictions.npz", "assessment.json", "comparison.json", "plan.json",
-    "parameters.json", "sensitivity.json",
-)  # fmt: skip
-"""Files in ``results/`` that steps and tables read; the rest is for people."""
 MOST_INPUT_BYTES = MOST_MAPPED_BYTES + MOST_HEADER_BYTES
 """Of a file: the largest are radiographs."""
 
@@ -435,13 +429,13 @@ def annotatable(record: SubjectRecord) -> tuple[str, ...]:
     return (*REST_IMAGES, *(push.image for push in record.pushes))
 
 
-def annotatable_views(record: SubjectRecord) -> dict[str, bool]:
+def annotatable_views(subject: Subject) -> dict[str, bool]:
     """Names of all radiographs from other sides, and whether an annotation needs them: of each view the one with the
-    least force.
+    least force that is known.
     """
     return {
-        push.view_image(frame, view.id): frame == push.least_of(view)
-        for push in record.pushes
+        push.view_image(frame, view.id): frame == push.least_of(view, open_frames(subject.gaps, number))
+        for number, push in enumerate(subject.pushes)
         for view in push.views
         for frame in view.frames
     }
@@ -475,49 +469,9 @@ def _check_images(subject: Subject) -> None:
             continue
         if name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
-    for name, needed in annotatable_views(subject.record).items():
+    for name, needed in annotatable_views(subject).items():
         if needed and name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
-
-
-def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -> None:
-    """Refuse a place for an output of a command that reads the subject in this folder (``files.check_output``).
-
-    Inside the folder only ``results/`` is written to, and there no result that a step reads.
-
-    Raises
-    ------
-    SubjectError : see ``files.check_output``; a place in another subject's folder that is no place for it there.
-    """
-    for one in dict.fromkeys((folder, *_subject_folder_of(path))):
-        results = one / RESULTS
-        inputs = [results / name for name in READ_AGAIN]
-        check_output(path, option, inputs=inputs, closed=one, but=results, force=force)
-
-
-def check_output_apart(
-    path: Path,
-    option: str,
-    *,
-    inputs: Iterable[Path] = (),
-    force: bool,
-    error: type[SpinestiffError] = SubjectError,
-) -> None:
-    """Refuse a place for an output of a command that reads no subject folder (``files.check_output``); in one that
-    the place happens to lie in, nothing is lost either.
-
-    Raises
-    ------
-    error : see ``files.check_output``. SubjectError : see ``check_output_beside``.
-    """
-    check_output(path, option, inputs=inputs, force=force, error=error)
-    for folder in _subject_folder_of(path):
-        check_output_beside(folder, path, option, force=force)
-
-
-def _subject_folder_of(path: Path) -> list[Path]:
-    """The subject folder in which a place lies, if it does."""
-    return [folder for folder in Path(os.path.realpath(path)).parents if (folder / SUBJECT_FILE).is_file()][:1]
 
 
 def _check_input(subject: Subject, path: Path, what: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -122,6 +123,11 @@ def gaps_of(data: Any) -> tuple[Gap, ...]:
                 span = str(frames[0]) if len(frames) == 1 else f"{frames[0]} to {frames[-1]}"
                 found.append(Gap(f"{where}.forces_n[{span}]", "forces_n", FORCE, number, frames))
     return tuple(found)
+
+
+def open_frames(gaps: Sequence[Gap], push: int) -> frozenset[int]:
+    """Frames of a push, counted from 0, whose force is not known yet."""
+    return frozenset(frame for gap in gaps if gap.push == push for frame in gap.frames)
 
 
 def _open(data: dict[str, Any], key: str) -> bool:

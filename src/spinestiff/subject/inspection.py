@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from spinestiff.imaging.radiograph import candidates, check_files, in_order, rea
 from spinestiff.imaging.shown_view import shown_view
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import Subject, check_image_name
-from spinestiff.subject.gaps import read_open_record
+from spinestiff.subject.gaps import open_frames, read_open_record
 from spinestiff.subject.geometry import image_geometry
 from spinestiff.subject.marks import check_marks_in, frame_names
 from spinestiff.subject.record_reading import read_record
@@ -128,14 +127,12 @@ def _subject_inside(folder: Path, name: str) -> tuple[Inspection, ...]:
 
 def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -> tuple[Inspection, Scan | None]:
     """What is in a picture's files, and the first of them; None where they are refused."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            scans = read_scans(path, given, within)
-        except RadiographError as problem:
-            return Inspection(name, str(problem)), None
-    told = tuple(str(warning.message) for warning in caught)
-    return Inspection(name, "", _seen(scans), scans[0].missing, (*told, *_looks_otherwise(scans[0]))), scans[0]
+    try:
+        scans, odd = read_scans(path, given, within)
+    except RadiographError as problem:
+        return Inspection(name, str(problem)), None
+    told = (*filter(None, [odd]), *_looks_otherwise(scans[0]))
+    return Inspection(name, "", _seen(scans), scans[0].missing, told), scans[0]
 
 
 def _looks_otherwise(scan: Scan) -> Iterator[str]:
@@ -174,15 +171,12 @@ def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
             found.append(Inspection(one, "", _seen((scan,)), scan.missing))
     if len(found) == 1 or len(scans) < len(found) or any(scan.layout.frames > 1 for scan in scans):
         return tuple(found)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            series = in_order(folder.name, scans)
-        except RadiographError as problem:
-            alone = f"not one sequence: {problem}"
-            return tuple(Inspection(one.image, "", one.seen, one.missing, (alone,)) for one in found)
-    told = tuple(str(warning.message) for warning in caught)
-    return (Inspection(name, "", _seen(series), series[0].missing, told),)
+    try:
+        series, odd = in_order(folder.name, scans)
+    except RadiographError as problem:
+        alone = f"not one sequence: {problem}"
+        return tuple(Inspection(one.image, "", one.seen, one.missing, (alone,)) for one in found)
+    return (Inspection(name, "", _seen(series), series[0].missing, (odd,) if odd else ()),)
 
 
 def _subject(folder: Path) -> tuple[Inspection, ...]:
@@ -192,18 +186,19 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
     paths = {name: folder / path for name, path in REST_IMAGES.items()}
     forces = {push.image: len(push.forces_n) for push in record.pushes}
     marks: dict[str, tuple[str, ...]] = {}
-    needed: dict[str, str] = {}
+    needed: dict[str, str | None] = {}
     paths |= {push.image: folder / push.frames for push in record.pushes}
     # Frames beside the first may be annotated, too.
     later = {push.image: frame_names(push)[1:] for push in record.pushes}
     kinds: dict[str, Literal["frontal", "lateral"]] = {LATERAL: "lateral"}
-    for push in record.pushes:
+    for number, push in enumerate(record.pushes):
         for view in push.views:
             name = f"{push.image}, view {view.id}"
             paths[name], forces[name], kinds[name] = folder / view.files, len(view.frames), view.kind
             marks[name] = tuple(push.view_image(frame, view.id) for frame in view.frames)
             # In the others corners are followed from there.
-            needed[name] = push.view_image(push.least_of(view), view.id)
+            least = push.least_of(view, open_frames(gaps, number))
+            needed[name] = None if least is None else push.view_image(least, view.id)
     odd_forces = {push.image: _odd_forces(push) for push in record.pushes}
     found: list[Inspection] = []
     if annotation is not None:
@@ -261,9 +256,9 @@ def _unknown_images(subject: Subject) -> Iterator[Inspection]:
 
 
 def _fitting(
-    one: Inspection, name: str, annotation: Annotation | None, frames: int, wanted: str, mark: str
+    one: Inspection, name: str, annotation: Annotation | None, frames: int, wanted: str, mark: str | None
 ) -> Inspection:
-    """Held against what the subject folder wants of this image; ``mark``: what of it has to be in the annotation."""
+    """Held against what the subject folder wants of this image; ``mark``: what of it has to be annotated, if known."""
     if one.seen["view"] not in (None, wanted):
         reason = f"{one.seen['file']}: found a {one.seen['view']} radiograph, wanted a {wanted} one"
         return Inspection(name, reason, one.seen)
@@ -272,7 +267,7 @@ def _fitting(
         rest = "1, at rest" if name in REST_IMAGES else f"{frames}, one for each of {each} in subject.json"
         return Inspection(name, f"{one.seen['file']}: found {one.seen['frames']} frames, wanted {rest}", one.seen)
     missing = one.missing
-    if annotation is None or mark not in annotation.images:
+    if mark is not None and (annotation is None or mark not in annotation.images):
         missing += (f"no corners of {mark} in {ANNOTATION_FILE}",)
     return Inspection(name, "", one.seen, missing, one.warnings)
 
@@ -280,6 +275,14 @@ def _fitting(
 def _seen(scans: Sequence[Scan]) -> dict[str, Any]:
     first = scans[0]
     tags, far, pitch, axes = first.tags, first.distances, first.spacing, first.directions
+    sources = first.provenance
+    # Where they are not both known, one of them may be; 0 counts as unknown.
+    detector, patient = tags.source_detector or None, tags.source_patient or None
+    if far is not None:
+        detector, patient = round(far.detector, 4), round(far.patient, 4)
+    else:
+        told = {"Detector": detector, "Patient": patient}
+        sources |= {f"source to {to.lower()}": f"DICOM DistanceSourceTo{to}" for to, mm in told.items() if mm}
     return {
         "file": first.name,
         "files": len(scans),
@@ -295,12 +298,12 @@ def _seen(scans: Sequence[Scan]) -> dict[str, Any]:
         "pixel_mm_at_patient": None
         if pitch is None or far is None
         else [round(pitch.row / far.magnification, 6), round(pitch.column / far.magnification, 6)],
-        "source_detector_mm": None if far is None else round(far.detector, 4),
-        "source_patient_mm": None if far is None else round(far.patient, 4),
+        "source_detector_mm": detector,
+        "source_patient_mm": patient,
         "view": None if axes is None else axes.view,
         "columns_to": None if axes is None else axes.column,
         "rows_to": None if axes is None else axes.row,
         "beam_to": None if axes is None else axes.beam,
         "times_s": [None if time is None else round(time, 4) for time in times_of(tuple(scans))],
-        "sources": first.provenance,
+        "sources": sources,
     }

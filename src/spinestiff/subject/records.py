@@ -6,6 +6,7 @@ What the folder holds beside it and annotation.json is read by ``folder``.
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -316,9 +317,13 @@ class PushRecord(Record):
         """Name of a frame's radiograph from another side in the annotation."""
         return f"{self.image}/{frame}/{view}"
 
-    def least_of(self, view: FurtherViewRecord) -> int:
-        """The first of a view's frames with the least force among them: it has to be marked by hand."""
-        return min(sorted(view.frames), key=lambda frame: self.forces_n[frame])
+    def least_of(self, view: FurtherViewRecord, unknown: Collection[int] = ()) -> int | None:
+        """The first of a view's frames with the least force among them: it has to be marked by hand.
+
+        ``unknown`` : frames whose force is not known yet, and so is passed by; None: that of none is known.
+        """
+        known = [frame for frame in sorted(view.frames) if frame not in unknown]
+        return min(known, key=lambda frame: self.forces_n[frame], default=None)
 
     @property
     def unloaded(self) -> int:

@@ -114,7 +114,7 @@ def _stage(subject: Subject) -> tuple[str, list[str]]:
 def _unmarked(subject: Subject) -> tuple[list[str], list[str]]:
     """Images that an estimate needs and nobody has annotated, and what is wrong with the annotation."""
     path = subject.folder / ANNOTATION_FILE
-    views = [name for name, needed in annotatable_views(subject.record).items() if needed]
+    views = [name for name, needed in annotatable_views(subject).items() if needed]
     wanted = (*annotatable(subject.record), *views)
     there = [name for name in wanted if os.path.lexists(subject.image_path(name))]
     if not os.path.lexists(path):

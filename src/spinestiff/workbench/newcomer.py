@@ -148,7 +148,7 @@ def offered_studies(groups: Sequence[Study]) -> list[dict[str, str]]:
     """
     if len(groups) == 1:
         return [{"label": groups[0].label, "words": groups[0].words}]
-    patients = len({one.files[0].tags.patient for one in groups})
+    patients = len({one.patient for one in groups})
     told = [_known_of(one, patients > 1) for one in groups]
     words = [
         text if told.count(text) == 1 and (one.when or one.description) else f"{text} ({one.first})"
@@ -158,7 +158,7 @@ def offered_studies(groups: Sequence[Study]) -> list[dict[str, str]]:
 
 
 def _known_of(study: Study, several: bool) -> str:
-    who = f"Patient {study.label.rstrip('0123456789')}" if several else ""
+    who = f"Patient {study.patient}" if several else ""
     about = ", ".join(filter(None, (who, study.when or "no date", study.description)))
     return f"{about}: {counted(len(study.files), 'picture')}" + (f", {study.kinds}" if study.kinds else "")
 

@@ -8,7 +8,6 @@ import secrets
 import shutil
 import threading
 import time
-import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -184,10 +183,9 @@ def _copied(path: Path, folder: Path, name: str, key: Key, burned_in_ok: bool) -
     """Radiographs of a file or folder under a new name; of a folder those that are read, in their order."""
     if not path.is_dir():
         return f"{name}.dcm", {f"{name}.dcm": _freed(path, folder, key, burned_in_ok, name)}
-    with warnings.catch_warnings():
-        # Of their order; whoever reads the subject is told, too.
-        warnings.simplefilter("ignore")
-        inside = [path / scan.name for scan in read_scans(path, Geometry(), within=folder)]
+    # What is odd about their order is told to whoever reads the subject, too.
+    scans, _ = read_scans(path, Geometry(), within=folder)
+    inside = [path / scan.name for scan in scans]
     return name, {
         f"{name}/{number:03d}.dcm": _freed(one, folder, key, burned_in_ok, name) for number, one in enumerate(inside)
     }

@@ -308,6 +308,18 @@ def test_a_coded_view_keeps_its_code_and_not_its_words(tmp_path):
     assert CANARY not in found.content
 
 
+@pytest.mark.parametrize(
+    ("both", "time"), [("20240501", "101530"), ("", "101530"), ("20240501101530.5", "101530.5"), ("202405", "101530")]
+)
+def test_a_date_alone_takes_no_acquisition_time_away(tmp_path, both, time):
+    dataset = plain(tmp_path)
+    dataset.AcquisitionDate, dataset.AcquisitionTime, dataset.AcquisitionDateTime = "20240501", "101530", both
+    dataset.ContentDate, dataset.ContentTime = "20240501", time
+    found = pydicom.dcmread(BytesIO(deidentify(saved(dataset), KEY).content))
+    assert found.AcquisitionTime == found.ContentTime != ""
+    assert found.AcquisitionDate == found.ContentDate
+
+
 @pytest.mark.parametrize("speaker", ["pydicom", "PIL", "pylibjpeg"])
 def test_no_library_or_codec_gets_a_word_in(tmp_path, monkeypatch, caplog, recwarn, speaker):
     """Their warnings and log lines quote values of the file."""

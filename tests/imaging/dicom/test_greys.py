@@ -127,3 +127,33 @@ def test_a_file_without_a_window_is_shown_by_its_spread(file):
     assert radiograph.display is None
     shown = radiograph.shown()
     assert shown.min() == 0.0 and shown.max() == 1.0 and 0.45 < np.median(shown) < 0.55
+
+
+def by_frame(keyword, *values):
+    """Values of an enhanced file, a frame each."""
+
+    keywords = (keyword, "WindowWidth") if keyword == "WindowCenter" else (keyword,)
+
+    def change(dataset: Dataset) -> None:
+        groups = []
+        for one in keywords:
+            dataset.pop(one, None)
+        for value in values:
+            inner, group = Dataset(), Dataset()
+            for one in keywords:
+                setattr(inner, one, value)
+            group.FrameVOILUTSequence = Sequence([inner])
+            groups.append(group)
+        dataset.PerFrameFunctionalGroupsSequence = Sequence(groups)
+
+    return change
+
+
+def test_a_window_that_differs_from_frame_to_frame_is_the_first_ones(file):
+    """It changes nothing that is measured; what does is refused."""
+    two = np.stack([STORED, STORED])
+    first, second = read_radiographs(file(two, **BYTES, change=by_frame("WindowCenter", 100, 200)))
+    np.testing.assert_array_equal(first.display.greys, [50.0, 149.0])
+    np.testing.assert_array_equal(second.display.greys, first.display.greys)
+    with pytest.raises(RadiographError, match="RescaleSlope: found values that differ from frame to frame"):
+        read_radiographs(file(two, **BYTES, change=by_frame("RescaleSlope", 1, 2)))

@@ -71,6 +71,19 @@ def test_a_coded_file_is_read_whole(file):
     assert len(open_radiographs(file(SERIES, change=deflate))) == 6
 
 
+@pytest.mark.parametrize("implicit", [True, False])
+def test_a_file_whose_elements_are_not_coded_as_its_header_says_is_read_whole(file, implicit):
+    """As the DICOM library reads it: a large one was told to be cut short."""
+    path = file(SERIES)
+    whole = read_radiographs(path)
+    dataset = pydicom.dcmread(path)
+    told = pydicom.uid.ExplicitVRLittleEndian if implicit else pydicom.uid.ImplicitVRLittleEndian
+    dataset.file_meta.TransferSyntaxUID = told
+    pydicom.dcmwrite(path, dataset, implicit_vr=implicit, little_endian=True, force_encoding=True)
+    for one, other in zip(open_radiographs(path), whole, strict=True):
+        np.testing.assert_array_equal(one.pixels, other.pixels)
+
+
 def overlaid(dataset):
     dataset.add_new(0x60000010, "US", 36)
     dataset.add_new(0x60000011, "US", 40)
@@ -112,7 +125,7 @@ def test_a_file_too_large_to_be_read_whole_is_read_frame_by_frame(file, request)
     assert isinstance(whole, tuple) and not isinstance(apart, tuple)
     assert apart[0].sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     same_pictures(apart, whole)
-    (scan,) = read_scans(path, reading.Geometry())
+    (scan,), _ = read_scans(path, reading.Geometry())
     np.testing.assert_array_equal(motion_course(iter(scan.pixels)), motion)
     # What an export's files are told apart by is the same, too.
     again = read_exported(path, path.name, path.parent)
@@ -141,6 +154,26 @@ def test_files_that_are_too_large_together_are_read_one_by_one(file, request):
     apart = read_radiographs(folder)
     assert isinstance(whole, tuple) and not isinstance(apart, tuple)
     same_pictures(apart, whole)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_folder_may_hold_as_many_pixels_uncompressed_as_a_file(file, monkeypatch, bits):
+    """However many bits a pixel has; those of compressed files count as uncompressed."""
+
+    def even(dataset):
+        dataset.Rows = dataset.Columns = 300
+        dataset.BitsAllocated = dataset.BitsStored = bits
+        dataset.HighBit = bits - 1
+        dataset.PixelData = bytes(300 * 300 * bits // 8)
+
+    paths = [file(SERIES[:1], f"{number}.dcm", change=even, InstanceNumber=number) for number in range(3)]
+    monkeypatch.setattr(radiograph, "MOST_BYTES", sum(path.stat().st_size for path in paths))
+    assert len(read_radiographs(paths[0].parent)) == 3
+    for number in range(3):
+        file(SERIES[:1], f"{number}.dcm", change=lambda one: (even(one), deflate(one)), InstanceNumber=number)
+    monkeypatch.setattr(radiograph, "MOST_BYTES", 3 * 300 * 300 * bits // 8 - 1)
+    with pytest.raises(RadiographError, match="MB of pixels in 3 files, wanted less of files that are compressed"):
+        read_radiographs(paths[0].parent)
 
 
 def test_of_a_coded_file_that_is_too_large_it_is_said_what_to_do(file, little_is_read_whole):

@@ -10,10 +10,10 @@ import pytest
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.errors import RadiographError, TorsoError
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
-from spinestiff.imaging.synthetic.detector import AIR_GREY, GREY_PER_OPTICAL_DEPTH, Exposure
+from spinestiff.imaging.synthetic.detector import AIR_GREY, GREY_PER_OPTICAL_DEPTH, Exposure, expose
 from spinestiff.imaging.synthetic.materials import Material, attenuations, monoenergetic
 from spinestiff.imaging.synthetic.path_length import _side, _turn, path_length
-from spinestiff.imaging.synthetic.rendering import Absorber, render_radiograph, thicknesses
+from spinestiff.imaging.synthetic.rendering import Absorber, thicknesses
 from spinestiff.imaging.synthetic.texture import Texture
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -214,7 +214,7 @@ def test_grey_values_follow_beer_and_lambert() -> None:
     quiet = Exposure(beam=monoenergetic(60.0), scatter_fraction=0.0, haze=0.0, focal_spot=0.0, detector_blur=0.0,
                      electronic_noise=0.0, photons=1e12)  # fmt: skip
     for material in Material:
-        image = render_radiograph([Absorber(vertices, faces, material, 0.7)], view, quiet)
+        image = expose(thicknesses([Absorber(vertices, faces, material, 0.7)], view), view, quiet)
         wanted = AIR_GREY + GREY_PER_OPTICAL_DEPTH * MU[material] * 0.7 * path_length(vertices, faces, view)
         assert image.dtype == np.uint16
         np.testing.assert_allclose(image, wanted, atol=2.0)

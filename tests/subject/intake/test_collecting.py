@@ -134,6 +134,32 @@ def test_one_study_or_several_of_one_patient_can_be_chosen(mixed):
         chosen_studies(mixed, "A1,B1")
 
 
+def test_persons_without_a_number_are_told_apart_by_name_and_birth_date(exported):
+    def of(path, study, **tags):
+        return exported(path, study=study, **{"patient": "", "PatientBirthDate": "20110203", **tags})
+
+    found = [
+        of("a", "1.1", PatientName="Doe^Jane", time="100000"),
+        of("b", "1.2", PatientName="Roe^Ann", time="100100"),
+        of("c", "1.3", PatientName="", time="100200"),
+        # Married, or registered anew: the number says it, else name and birth date.
+        of("d", "1.4", PatientName="Doe^Jane", patient="7", time="100300"),
+        of("e", "1.5", PatientName="Poe^Jane", patient="7", time="100400"),
+    ]
+    assert [(group.label, group.files[0].name) for group in studies(found[:4])] == [
+        ("A1", "a"), ("A2", "d"), ("B1", "b"), ("C1", "c")
+    ]  # fmt: skip
+    for two in ("A1,B1", "A2,B1"):
+        with pytest.raises(OptionError, match=f"^--study {two}: studies of several patients"):
+            chosen_studies(found[:4], two)
+    # Whose c is nothing tells: the user says it.
+    assert [one.name for one in chosen_studies(found[:4], "A1,C1")[0]] == ["a", "c"]
+    assert [group.label for group in studies(found[3:])] == ["A1", "A2"]
+    # Pseudonyms of files whose patients were taken out stand for numbers.
+    out = [of(f"x{name}", f"2.{name}", patient=f"P{name // 2}", PatientIdentityRemoved="YES") for name in (2, 3, 4)]
+    assert [group.label for group in studies(out)] == ["A1", "A2", "B1"]
+
+
 def test_a_file_of_a_study_that_is_left_out_is_told_as_such(mixed):
     files, others = chosen_studies(mixed, "B1")
     for text in ("y/1", "y"):

@@ -185,11 +185,20 @@ def test_files_without_times_and_numbers_go_by_their_names_and_it_is_said(export
     (push,) = sorting.pushes
     assert [one.name for one in push.files] == ["r/img11", "s/img9", "s/img10"] and push.forces_n == (0.0, 20.0, 30.0)
     assert sorting.reasons["s/img9"].endswith(
-        "in order of the files' names, since no header has times or numbers: check it"
+        "in order of the files' names, since no header has an acquisition time or a number: check it"
     )
     sorting = sort_files(found, joined=[found])
     assert names(sorting)[2] == [["r/img11", "s/img9", "s/img10"]]
     assert "in order of the files' names" in sorting.reasons["s/img9"]
+
+
+def test_files_with_times_of_content_alone_go_by_these(exported):
+    """Names that tell another order would give each force to the wrong frame."""
+    found = [exported(name, time=None, without=("InstanceNumber",), ContentTime=time)
+             for name, time in (("a", "101040"), ("b", "101020"), ("c", "101000"))]  # fmt: skip
+    sorting = sort_files(found, joined=[found])
+    assert names(sorting)[2] == [["c", "b", "a"]]
+    assert sorting.reasons["a"].endswith("in order of the times of their content: check it")
 
 
 def test_single_pictures_are_one_push_where_the_user_says_so(exported):

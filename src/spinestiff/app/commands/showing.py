@@ -66,7 +66,7 @@ def visit_page(folder: Path | None, out: Path | None, force: bool) -> Path:
     from spinestiff.files import write_text
     from spinestiff.study.report.viewer.files import write_rest_view
     from spinestiff.study.visit import open_visit
-    from spinestiff.subject.folder import check_output_beside
+    from spinestiff.subject.output_places import check_output_beside
 
     visit = open_visit(folder or Path())
     if out is not None:
@@ -87,7 +87,7 @@ def torso_page(torso: Path, out: Path | None, force: bool) -> Path:
     from spinestiff.errors import TorsoError
     from spinestiff.files import regular_file
     from spinestiff.study.report.viewer.files import write_torso_view
-    from spinestiff.subject.folder import check_output_apart
+    from spinestiff.subject.output_places import check_output_apart
 
     regular_file(torso, TorsoError)
     page = out or torso.with_suffix(".html")

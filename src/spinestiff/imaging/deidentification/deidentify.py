@@ -318,8 +318,10 @@ def _add_times(new: Dataset, old: Dataset, key: Key, identity: str, left_out: li
     new.StudyDate, new.StudyTime = "", ""
     for name in _MOMENTS:
         date, time = (str(_value(old, f"{name}{part}") or "") for part in ("Date", "Time"))
-        if name == "Acquisition" and (both := str(_value(old, "AcquisitionDateTime") or "")):
-            date, time = both[:8], re.sub(r"[+-]\d{4}$", "", both[8:].strip())
+        both = str(_value(old, "AcquisitionDateTime") or "") if name == "Acquisition" else ""
+        both = re.sub(r"[+-]\d{4}$", "", both.strip())
+        if len(both) > 8 or not (date or time):
+            date, time = both[:8], both[8:]
         if not date and not time:
             continue
         # A time without a date of its own is one of the study's day.

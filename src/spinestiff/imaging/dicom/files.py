@@ -11,8 +11,10 @@ import logging
 import warnings
 import zlib
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from io import BytesIO
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING
 
 from spinestiff.errors import RadiographError
@@ -71,9 +73,38 @@ def named(what: str) -> Iterator[None]:
         ) from None
 
 
+def quiet() -> AbstractContextManager[None]:
+    """No warnings or log lines of the DICOM library and its codecs: they quote the file's values, patient data too.
+
+    Filters and loggers are those of all threads, so nobody's warnings are heard until the last that asked has left.
+    """
+    return _QUIET
+
+
+class _Quiet(AbstractContextManager[None]):
+    """The first that enters silences, the last that leaves restores what was."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._restore = Lock(), 0, contextlib.ExitStack()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._restore.enter_context(_silenced())
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._restore.close()
+
+
+_QUIET = _Quiet()
+
+
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """No warnings or log lines of the DICOM library and its codecs: they quote the file's values, patient data too."""
+def _silenced() -> Iterator[None]:
     loggers = [logging.getLogger(name) for name in ("pydicom", "PIL", "pylibjpeg")]
     were = [logger.disabled for logger in loggers]
     for logger in loggers:
@@ -123,7 +154,8 @@ def read_dataset(path: Path) -> tuple[Dataset, str]:
 
 def read_header(path: Path) -> tuple[Dataset, int, int] | None:
     """A regular file without reading its pixels, or None where it has to be read whole: it is not uncompressed, little
-    endian DICOM, or its pixels begin far behind its start and it is small enough for that.
+    endian DICOM, it is coded otherwise than its header says, or its pixels begin far behind its start and it is small
+    enough for that.
 
     Returns
     -------
@@ -156,6 +188,9 @@ def read_header(path: Path) -> tuple[Dataset, int, int] | None:
     told = head[4:8] if syntax == _IMPLICIT else head[8:12]
     if head[:4] != _PIXELS_LITTLE_ENDIAN or len(told) < 4:
         return dataset, 0, 0
+    # As a length, which it is where no type stands before it, either would be odd.
+    if (head[4:6] in (b"OB", b"OW")) != (syntax == _EXPLICIT):
+        return None
     dataset.add(DataElement(_PIXELS, "OW", b""))
     start = at + (8 if syntax == _IMPLICIT else 12)
     return dataset, start, min(int.from_bytes(told, "little"), path.stat().st_size - start)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from spinestiff.imaging.dicom.files import one_clear_line, read_tags_only
 from spinestiff.imaging.dicom.person_tags import identity_tags
+
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset
 
 
 @dataclass(frozen=True)
@@ -34,11 +38,23 @@ class Identity:
         pairs = [(a, b) for a, b in zip(self.marks, other.marks) if a and b]
         return any(a == b for a, b in pairs) if pairs else None
 
+    def may_be_of(self, other: Identity) -> bool:
+        """Whether both may be put together: they are of one patient, or don't tell and have the same number, or none.
+        Where patients were taken out, pseudonyms stand for numbers.
+        """
+        same = self.is_of(other)
+        return self.marks[0] == other.marks[0] if same is None else same
+
     def days_from(self, other: Identity) -> int | None:
         """Days between both exposures; None if they don't tell."""
         if self.removed or other.removed or self.day is None or other.day is None:
             return None
         return abs(self.day - other.day)
+
+
+def identity_of(dataset: Dataset) -> Identity:
+    """The identity in a dataset; what can't be read tells nothing, but for PatientID. Raises RadiographError."""
+    return Identity(*identity_tags(dataset))
 
 
 def read_identity(path: Path) -> Identity:
@@ -49,4 +65,4 @@ def read_identity(path: Path) -> Identity:
     RadiographError : the file can't be read; the line holds its name and nothing of the patient.
     """
     with one_clear_line(path.name):
-        return Identity(*identity_tags(read_tags_only(path)))
+        return identity_of(read_tags_only(path))

@@ -75,9 +75,16 @@ def checked_layout(tags: Tags, most_bytes: int = MOST_BYTES) -> Layout:
     size = f"{layout.frames} frames of {layout.rows} x {layout.columns}"
     if min(layout.frames, layout.rows, layout.columns) < 1:
         raise RadiographError(f"NumberOfFrames, Rows, Columns: found {size}, wanted 1 or more; export it again")
-    if max(layout.rows, layout.columns) > MOST_PIXELS_A_SIDE or layout.frames > MOST_FRAMES:
-        most = f"{MOST_FRAMES} frames of {MOST_PIXELS_A_SIDE} x {MOST_PIXELS_A_SIDE}"
-        raise RadiographError(f"NumberOfFrames, Rows, Columns: found {size}, wanted at most {most}; crop it")
+    if layout.frames > MOST_FRAMES:
+        raise RadiographError(
+            f"NumberOfFrames: found {layout.frames}, wanted at most {MOST_FRAMES}; export fewer frames, e.g. a part of "
+            "the series"
+        )
+    if max(layout.rows, layout.columns) > MOST_PIXELS_A_SIDE:
+        raise RadiographError(
+            f"Rows, Columns: found {layout.rows} x {layout.columns}, wanted at most {MOST_PIXELS_A_SIDE} x "
+            f"{MOST_PIXELS_A_SIDE}; crop it"
+        )
     if layout.allocated not in (8, 16) or not 0 < layout.stored <= layout.allocated:
         raise RadiographError(
             f"BitsStored, BitsAllocated: found {layout.stored} bits in {layout.allocated}, wanted up to 8 in 8 or up "

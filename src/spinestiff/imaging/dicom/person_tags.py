@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
-from spinestiff.imaging.dicom.tags import hash_of, hashed, ordinal, seconds_of
+from spinestiff.imaging.dicom.ordering import DAY_S
+from spinestiff.imaging.dicom.tags import clock_of, hash_of, hashed, ordinal, told
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -16,10 +18,10 @@ if TYPE_CHECKING:
 def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
     """For ``identity.Identity``: hashes of the patient's number and of name with birth date, the day, whether the
     patient was taken out."""
-    name, birth = (str(dataset.get(keyword) or "").strip() for keyword in ("PatientName", "PatientBirthDate"))
+    name, birth = (told(dataset, keyword) for keyword in ("PatientName", "PatientBirthDate"))
     person = hash_of(f"{name.casefold()}\0{birth}") if name and birth else ""
-    removed = str(dataset.get("PatientIdentityRemoved") or "").strip().upper() == "YES"
-    return (hashed(dataset, "PatientID"), person), _day(str(dataset.get(key) or "") for key in _DAYS), removed
+    removed = told(dataset, "PatientIdentityRemoved").upper() == "YES"
+    return (hashed(dataset, "PatientID"), person), _day(told(dataset, key) for key in _DAYS), removed
 
 
 _DAYS = ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate")
@@ -36,7 +38,7 @@ class ExportTags:
 
     Attributes
     ----------
-    patient, study, series : hashes, only to be compared; "" if not told.
+    study, series : hashes, only to be compared; "" if not told.
     moment : s of the exposure since the year 1, or since midnight; None if not told.
     view : what the words of the series call it, "frontal" or "lateral"; None if nothing, or both.
     use : the same, "rest" or "push".
@@ -45,7 +47,6 @@ class ExportTags:
     description : of the study, in one line; to be shown to whoever chooses one, and kept nowhere.
     """
 
-    patient: str = ""
     study: str = ""
     series: str = ""
     moment: float | None = None
@@ -75,10 +76,9 @@ def export_tags(dataset: Dataset) -> ExportTags:
     view = _either("frontal", bool(words & _FRONTAL), "lateral", sideways)
     use = _either("rest", bool(words & _REST), "push", bool(words & _PUSH))
     age, source = _age(dataset)
-    sex = {"F": "female", "M": "male"}.get(_told(dataset, "PatientSex").upper())
-    patient, study, series = (_told(dataset, key) for key in ("PatientID", "StudyInstanceUID", "SeriesInstanceUID"))
+    sex = {"F": "female", "M": "male"}.get(told(dataset, "PatientSex").upper())
+    study, series = (told(dataset, key) for key in ("StudyInstanceUID", "SeriesInstanceUID"))
     return ExportTags(
-        hash_of(patient) if patient else "",
         hash_of(study) if study else "",
         hash_of(series) if series else "",
         _moment(dataset),
@@ -87,8 +87,8 @@ def export_tags(dataset: Dataset) -> ExportTags:
         age,
         source,
         sex,
-        _day(_told(dataset, key) for key in _DAYS),
-        _line(_told(dataset, "StudyDescription")),
+        _day(told(dataset, key) for key in _DAYS),
+        _line(told(dataset, "StudyDescription")),
     )
 
 
@@ -104,34 +104,23 @@ def _either(one: str, is_one: bool, other: str, is_other: bool) -> str | None:
     return one if is_one else other
 
 
-def _told(dataset: Dataset, keyword: str) -> str:
-    try:
-        return str(dataset.get(keyword) or "").strip()
-    except Exception:  # what pydicom can't parse raises all sorts; such a value tells nothing
-        return ""
-
-
 def _words(dataset: Dataset) -> set[str]:
-    text = " ".join(_told(dataset, key) for key in ("SeriesDescription", "ProtocolName", "ViewPosition"))
+    text = " ".join(told(dataset, key) for key in ("SeriesDescription", "ProtocolName", "ViewPosition"))
     return set(re.findall(r"[^\W\d_]+", text.casefold().replace(".", "")))
 
 
 def _moment(dataset: Dataset) -> float | None:
-    whole = _told(dataset, "AcquisitionDateTime")
-    pairs = [(whole[:8], whole[8:])]
-    pairs += [(_told(dataset, f"{of}Date"), _told(dataset, f"{of}Time")) for of in ("Acquisition", "Content", "Series")]
-    for date, time in pairs:
-        seconds = seconds_of(time)
-        if seconds is not None:
-            day = ordinal(date) or _day(_told(dataset, key) for key in _DAYS) or 0
-            return 86400.0 * day + seconds
-    return None
+    clocks = (clock_of(partial(told, dataset), what) for what in ("Acquisition", "Content", "Series"))
+    clock = next((clock for clock in clocks if clock is not None), None)
+    if clock is None or clock >= DAY_S:
+        return clock
+    return clock + DAY_S * (_day(told(dataset, key) for key in _DAYS) or 0)
 
 
 def _age(dataset: Dataset) -> tuple[float | None, str]:
-    birth, day = ordinal(_told(dataset, "PatientBirthDate")), _day(_told(dataset, key) for key in _DAYS)
+    birth, day = ordinal(told(dataset, "PatientBirthDate")), _day(told(dataset, key) for key in _DAYS)
     if birth is not None and day is not None and 0 < day - birth <= 120 * 365:
         return int(10.0 * (day - birth) / 365.25) / 10.0, "PatientBirthDate and the day of the exposure"
-    found = re.fullmatch(r"(\d{1,3})([YMWD])", _told(dataset, "PatientAge").upper())
+    found = re.fullmatch(r"(\d{1,3})([YMWD])", told(dataset, "PatientAge").upper())
     years = 0.0 if found is None else round(int(found[1]) * _AGE_UNITS[found[2]], 1)
     return (years, "PatientAge") if 0.0 < years <= 120.0 else (None, "")

@@ -23,6 +23,7 @@ from spinestiff.imaging.dicom.files import (
     read_header,
 )
 from spinestiff.imaging.dicom.greys import DisplayCurve, bone_bright
+from spinestiff.imaging.dicom.identity import Identity, identity_of
 from spinestiff.imaging.dicom.layout import Layout, check_modality, check_native, checked_layout
 from spinestiff.imaging.dicom.millimetres import Distances, Geometry, Spacing, distances, pixel_shape, spacing
 from spinestiff.imaging.dicom.orientation import Directions, directions
@@ -40,6 +41,7 @@ class Scan:
     Attributes
     ----------
     name, sha256 : of the file.
+    whose : the patient and the day, to be compared only.
     tags, layout : what it declares, checked.
     pixels : F of (H, W) float32, bone bright; of a large uncompressed file each is read when it is asked for.
     display : how the file wants them shown; None if it does not say.
@@ -50,6 +52,7 @@ class Scan:
 
     name: str
     sha256: str
+    whose: Identity
     tags: Tags
     layout: Layout
     pixels: Sequence[NDArray[np.float32]]
@@ -154,7 +157,8 @@ def read_scan(path: Path, given: Geometry, within: Path | None = None, one_by_on
         layout = checked_layout(tags)
         far, pitch, axes, missing = _known(tags, given)
         pixels, display, greys = bone_bright(decoded(dataset, tags, layout), tags, layout)
-        return Scan(path.name, sha256, tags, layout, tuple(pixels), display, greys, far, pitch, axes, missing)
+        whose = identity_of(dataset)
+        return Scan(path.name, sha256, whose, tags, layout, tuple(pixels), display, greys, far, pitch, axes, missing)
 
 
 def read_frames(path: Path, given: Geometry, within: Path | None = None) -> Scan | None:
@@ -194,7 +198,8 @@ def _on_disk(path: Path, given: Geometry) -> Scan | None:
     nothing = np.zeros((0, layout.rows, layout.columns), np.uint16)
     _, display, greys = bone_bright(nothing, tags, layout)
     frames = FramesOnDisk(path, start, layout, tags)
-    return Scan(path.name, "", tags, layout, frames, display, greys, far, pitch, axes, missing)
+    whose = identity_of(dataset)
+    return Scan(path.name, "", whose, tags, layout, frames, display, greys, far, pitch, axes, missing)
 
 
 def _known(tags: Tags, given: Geometry) -> tuple[Distances | None, Spacing | None, Directions | None, tuple[str, ...]]:

@@ -11,15 +11,17 @@ import datetime
 import hashlib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.dicom.files import named
+from spinestiff.imaging.dicom.ordering import DAY_S
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -45,6 +47,9 @@ _WORDS = frozenset(
 )  # fmt: skip
 
 
+_DISPLAY = frozenset({"WindowCenter", "WindowWidth", "VOILUTFunction", "VOILUTSequence"})
+
+
 class MissingValue(RadiographError):
     """A radiograph lacks something that the user can give in subject.json."""
 
@@ -61,8 +66,7 @@ class Table:
 class Tags:
     """What a file says, before anything is concluded from it. None: the file does not say.
 
-    Spacings are (between rows, between columns) in mm, distances mm, times seconds. ``identity`` and ``patient`` are
-    hashes.
+    Spacings are (between rows, between columns) in mm, distances mm, times seconds. ``identity`` is a hash.
     """
 
     modality: str
@@ -99,9 +103,9 @@ class Tags:
     laterality: str
     times: tuple[float | None, ...]
     clock: float | None
+    content_clock: float | None
     instance: int | None
     identity: str
-    patient: str
 
 
 def read_tags(dataset: Dataset) -> Tags:
@@ -160,10 +164,10 @@ def read_tags(dataset: Dataset) -> Tags:
         image_laterality=code(dataset, "ImageLaterality"),
         laterality=code(dataset, "Laterality"),
         times=_frame_times(dataset, frames),
-        clock=_clock(dataset),
+        clock=clock_of(partial(text, dataset), "Acquisition"),
+        content_clock=clock_of(partial(told, dataset), "Content"),
         instance=None if instance is None else int(instance),
         identity=hashed(dataset, "SOPInstanceUID"),
-        patient=hashed(dataset, "PatientID"),
     )
 
 
@@ -191,14 +195,15 @@ def own(dataset: Dataset, keyword: str) -> Any:
 
 
 def _value(dataset: Dataset, keyword: str) -> Any:
-    """Of the dataset itself, or of the functional groups, where every frame has to have the same."""
+    """Of the dataset itself, or of the functional groups, where every frame has to have the same; of what is a matter
+    of display only, the first frame's."""
     if keyword in dataset:
         return own(dataset, keyword)
     with named("the frames' functional groups"):
         found = [_grouped(group, keyword) for group in (dataset.get("SharedFunctionalGroupsSequence") or [])[:1]]
         found += [_grouped(group, keyword) for group in dataset.get("PerFrameFunctionalGroupsSequence") or []]
     there = [value for value in found if value is not None]
-    if any(str(value) != str(there[0]) for value in there[1:]):
+    if keyword not in _DISPLAY and any(str(value) != str(there[0]) for value in there[1:]):
         raise RadiographError(
             f"{keyword}: found values that differ from frame to frame, wanted one; export the frames as single files"
         )
@@ -368,18 +373,34 @@ def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:
     return tuple(float(t) for t in np.cumsum(steps) / 1000.0)
 
 
-def _clock(dataset: Dataset) -> float | None:
-    """Seconds of the acquisition since the year 1, or since midnight without a date; None if the file doesn't tell."""
+def clock_of(value: Callable[[str], str], what: Literal["Acquisition", "Content", "Series"]) -> float | None:
+    """Seconds of that date and time since the year 1, or since midnight without a date; None if the file tells none.
+
+    ``value`` : of a keyword, "" for none.
+    """
     # Read by hand: values like 17:58:00 of old systems are worth having, and a bad time is no reason to refuse.
-    moment = str(own(dataset, "AcquisitionDateTime") or "")
-    date, time = (moment[:8], moment[8:]) if len(moment) > 8 else (
-        str(own(dataset, "AcquisitionDate") or ""), str(own(dataset, "AcquisitionTime") or "")
-    )  # fmt: skip
-    seconds = seconds_of(time)
-    return None if seconds is None else 86400.0 * (ordinal(date) or 0) + seconds
+    both = value("AcquisitionDateTime") if what == "Acquisition" else ""
+    for date, time in ((both[:8], both[8:]), (value(f"{what}Date"), value(f"{what}Time"))):
+        seconds = _seconds_of(time)
+        if seconds is not None:
+            return DAY_S * (ordinal(date) or 0) + seconds
+    return None
 
 
-def seconds_of(time: str) -> float | None:
+def text(dataset: Dataset, keyword: str) -> str:
+    """A value as text; "" where there is none."""
+    return str(own(dataset, keyword) or "").strip()
+
+
+def told(dataset: Dataset, keyword: str) -> str:
+    """A value as text; "" where there is none, or none that can be read."""
+    try:
+        return str(dataset.get(keyword) or "").strip()
+    except Exception:  # what pydicom can't parse raises all sorts; such a value tells nothing
+        return ""
+
+
+def _seconds_of(time: str) -> float | None:
     """Since midnight."""
     found = re.match(r"(\d\d):?(\d\d)?:?(\d\d(?:\.\d+)?)?", time)
     if found is None:
@@ -398,7 +419,7 @@ def ordinal(date: str) -> int | None:
 
 def hashed(dataset: Dataset, keyword: str) -> str:
     """Hash of a text; "" if there is none."""
-    value = str(own(dataset, keyword) or "").strip()
+    value = text(dataset, keyword)
     return hash_of(value) if value else ""
 
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.projection import XRayView
-from spinestiff.imaging.synthetic.detector import DEFAULT_EXPOSURE, Exposure, expose, wide_blur
+from spinestiff.imaging.synthetic.detector import wide_blur
 from spinestiff.imaging.synthetic.materials import Material
 from spinestiff.imaging.synthetic.path_length import Shadow, Surface, cast, closed_surface, shrunk
 from spinestiff.imaging.synthetic.texture import Texture, pattern
@@ -56,20 +55,6 @@ def thicknesses(absorbers: Sequence[Absorber], view: XRayView, samples: int = 1)
     for absorber in absorbers:
         _add_absorber(maps[absorber.material], absorber, view, samples)
     return maps
-
-
-def render_radiograph(
-    absorbers: Sequence[Absorber],
-    view: XRayView,
-    exposure: Exposure = DEFAULT_EXPOSURE,
-    seed: int = 0,
-    samples: int = 1,
-) -> NDArray[np.uint16]:
-    """A radiograph of ``absorbers``, (H, W), bone bright: 8000 grey values an optical depth, 4000 in free air.
-
-    ``exposure`` and ``seed`` as in ``expose``, ``samples`` as in ``thicknesses``.
-    """
-    return expose(thicknesses(absorbers, view, samples), view, exposure, seed)
 
 
 def _add_absorber(out: Floats, absorber: Absorber, view: XRayView, samples: int) -> None:

@@ -7,11 +7,13 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import date
+from itertools import combinations
 from pathlib import Path, PurePosixPath
 
 from spinestiff.errors import OptionError, RadiographError, SubjectError
 from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.export import Exported, read_exported
+from spinestiff.imaging.dicom.identity import Identity
 from spinestiff.subject.intake.pictures import Album
 from spinestiff.words import counted
 
@@ -35,6 +37,11 @@ class Study:
 
     label: str
     files: tuple[Exported, ...]
+
+    @property
+    def patient(self) -> str:
+        """The letter that stands for its patient."""
+        return self.label.rstrip("0123456789")
 
     @property
     def kinds(self) -> str:
@@ -151,14 +158,30 @@ def _files(source: Path, top: PurePosixPath) -> list[tuple[Path, str]]:
 def studies(found: Sequence[Exported]) -> tuple[Study, ...]:
     """Radiographs by patient (A, B, ...) and study (1, 2, ... in order of time)."""
     order = sorted(found, key=lambda one: (math.inf if one.tags.moment is None else one.tags.moment, one.name))
-    patients = list(dict.fromkeys(one.tags.patient for one in order))
     groups: list[Study] = []
-    for number, patient in enumerate(patients):
-        mine = [one for one in order if one.tags.patient == patient]
+    for number, mine in enumerate(_by_patient(order)):
         for count, study in enumerate(dict.fromkeys(one.tags.study for one in mine), 1):
             files = tuple(one for one in mine if one.tags.study == study)
             groups.append(Study(f"{_letters(number)}{count}", files))
     return tuple(groups)
+
+
+def _by_patient(found: Sequence[Exported]) -> list[list[Exported]]:
+    """Radiographs of one patient together, as far as headers tell; those that tell nothing of theirs are together."""
+    patients: list[list[Identity]] = []
+    for whose in dict.fromkeys(one.scan.whose for one in found):
+        mine = next((patient for patient in patients if _is_among(whose, patient)), None)
+        if mine is None:
+            patients.append([whose])
+        else:
+            mine.append(whose)
+    return [[one for one in found if one.scan.whose in patient] for patient in patients]
+
+
+def _is_among(whose: Identity, patient: Sequence[Identity]) -> bool:
+    # Without a number, what another file says may be of anybody.
+    tells = bool(whose.marks[0]) or any(whose.is_of(other) or whose.marks == other.marks for other in patient)
+    return tells and all(whose.may_be_of(other) for other in patient)
 
 
 def _letters(number: int) -> str:
@@ -181,20 +204,21 @@ def chosen_studies(found: Sequence[Exported], wanted: str | None) -> tuple[tuple
     groups = studies(found)
     labels = [group.label for group in groups]
     listing = ", ".join(group.words for group in groups)
-    patients = len({one.tags.patient for one in found})
+    patients = len({group.patient for group in groups})
     if wanted is None:
         if len(groups) == 1:
             return groups[0].files, ()
         what = f"{counted(patients, 'patient')} and {counted(len(groups), 'study', 'studies')}"
-        several = next((f", or several of one patient, as --study {a},{b}" for a, b in zip(labels, labels[1:])
-                        if a.rstrip("0123456789") == b.rstrip("0123456789")), "")  # fmt: skip
+        several = next((f", or several of one patient, as --study {a.label},{b.label}"
+                        for a, b in zip(groups, groups[1:]) if a.patient == b.patient), "")  # fmt: skip
         raise SubjectError(f"found {what}, wanted one: {listing}; choose with --study {labels[0]}{several}")
     asked = [label.strip().upper() for label in wanted.split(",")]
     for label in asked:
         if label not in labels:
             raise OptionError(f"--study {label[:20]}: no such study; there are {listing}")
     mine = [group for group in groups if group.label in asked]
-    if len({one.tags.patient for group in mine for one in group.files}) > 1:
+    whose = {one.scan.whose for group in mine for one in group.files}
+    if not all(one.may_be_of(other) for one, other in combinations(whose, 2)):
         raise OptionError(f"--study {wanted[:40]}: studies of several patients; wanted those of one: {listing}")
     files = tuple(one for group in mine for one in group.files)
     return files, tuple(group for group in groups if group not in mine)

@@ -71,13 +71,13 @@ def put_beside(log: ForceLog, files: Sequence[Path], name: str, offset_s: float 
     ------
     SubjectError : frames without times, or beyond a log whose offset is given. RadiographError : a file can't be read.
     """
-    scans = [scan for file in files for scan in read_scans(file, Geometry())]
+    scans = [scan for file in files for scan in read_scans(file, Geometry())[0]]
     told = times_of(tuple(scans))
     times = np.array([np.nan if time is None else time for time in told])
     if not np.isfinite(times).all():
         raise SubjectError(
-            f"{push_named(name)}: its radiographs tell no times of their frames (FrameTime, AcquisitionTime), so a "
-            "force log can't be put beside them; write the forces into --pushes"
+            f"{push_named(name)}: its radiographs tell no times of their frames (FrameTime, AcquisitionTime, "
+            "ContentTime), so a force log can't be put beside them; write the forces into --pushes"
         )
     if (np.diff(times) <= 0.0).any():
         raise SubjectError(

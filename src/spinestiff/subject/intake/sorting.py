@@ -6,14 +6,13 @@ one radiograph that can be at rest by it, and the reason says so; where it contr
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.dicom.export import Exported
-from spinestiff.imaging.dicom.ordering import unnumbered
+from spinestiff.imaging.dicom.ordering import times_told
 from spinestiff.imaging.radiograph import in_order, times_of
 from spinestiff.subject.intake.push_table import SHARED, TablePush, TableRow
 from spinestiff.words import counted, push_named
@@ -206,21 +205,23 @@ def _follows(one: Exported, last: Exported) -> bool:
 
 def _in_time(files: Sequence[Exported]) -> tuple[Exported, ...]:
     """In the order in which a folder of them will be read. Raises RadiographError if they are no sequence."""
-    with warnings.catch_warnings():
-        # What is odd about the order is said of the folder that is made.
-        warnings.simplefilter("ignore")
-        # Files of several folders may have one name; their paths tell them apart.
-        scans = in_order("the push", [replace(one.scan, name=one.name) for one in files])
+    # Files of several folders may have one name; their paths tell them apart. What is odd about the order is said of
+    # the folder that is made.
+    scans, _ = in_order("the push", [replace(one.scan, name=one.name) for one in files])
     by_name = {one.name: one for one in files}
     return tuple(by_name[scan.name] for scan in scans)
 
 
 def _order_words(files: Sequence[Exported]) -> str:
     """By what files of a push are ordered, as ``in_order`` does."""
-    clocks, numbers = ([getattr(one.scan.tags, key) for one in files] for key in ("clock", "instance"))
-    if unnumbered(clocks, numbers):
-        return "the files' names, since no header has times or numbers: check it"
-    return "time" if None not in clocks else "the numbers in their headers"
+    tags = [one.scan.tags for one in files]
+    clocks, numbers = [one.clock for one in tags], [one.instance for one in tags]
+    times = times_told(clocks, numbers, [one.content_clock for one in tags])
+    if None not in times:
+        return "time" if None not in clocks or None not in numbers else "the times of their content: check it"
+    if None not in numbers:
+        return "the numbers in their headers"
+    return "the files' names, since no header has an acquisition time or a number: check it"
 
 
 def _seen(one: Exported) -> str:
