@@ -119,7 +119,15 @@ def test_cells_say_what_is_open_and_are_no_formulas():
     assert first["tissue_ratio_open"] == "high" and first["age"] == "13.0"
     part = {**STIFFNESS, "name": "axial_rotation@lumbar", "unit": TIMES_WHOLE}
     (row,) = rows_of(overview_csv([{**cards[0], "result": {"badge": "determined", "stiffness": [part]}}]))
-    assert row["axial_rotation@lumbar_ratio"] == "0.5"
+    assert row["axial_rotation@lumbar_ratio_of_whole"] == "0.5" and "axial_rotation@lumbar_ratio" not in row
+    both = [
+        {**cards[0], "result": {"badge": "determined", "stiffness": [one]}}
+        for one in (part, {**part, "unit": TIMES_DEFAULT, "value": 0.1})
+    ]
+    found = [
+        [row[f"axial_rotation@lumbar_ratio{end}"] for end in ("_of_whole", "")] for row in rows_of(overview_csv(both))
+    ]
+    assert found == [["0.5", ""], ["", "0.1"]]
     for row in (bare, broken):
         assert {value for name, value in row.items() if name not in ("subject", "state")} == {""}
 
