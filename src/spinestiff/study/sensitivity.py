@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from spinestiff.anatomy.regions import AT
+from spinestiff.anatomy.regions import AT, is_beside_whole
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, TISSUE_PARAMETERS
 from spinestiff.anatomy.torso import TorsoModel
@@ -262,7 +262,12 @@ def weighed_cases(basis: Basis) -> Iterator[Case]:
         yield case("mesh", "coarse", shaped=partial(torso_on, visit, "coarse"))
     for sign in SIGNS:
         factor = 1.0 + sign * MODULUS
-        scale = {name: factor for name in basis.names if name.partition(AT)[0] in TISSUE_PARAMETERS}
+        # A part beside its whole is relative to that, so the default does not touch its ratio.
+        scale = {
+            name: factor
+            for name in basis.names
+            if name.partition(AT)[0] in TISSUE_PARAMETERS and not is_beside_whole(name, basis.names)
+        }
         stiffer = partial(_with_modulus, torso, factor)
         yield case("default modulus", _percent(sign * MODULUS), shaped=stiffer, scale=scale)
     for sign in SIGNS:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-from spinestiff.anatomy.regions import AT
+from spinestiff.anatomy.regions import AT, is_beside_whole
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, FEWEST_CORNERS, LOWEST_QUALITY
 from spinestiff.subject.assessment_outcome import HeldOutFrame
 from spinestiff.subject.estimate_outcome import BudgetRecord, CombinationRecord, Estimate, PriorChangeRecord
@@ -158,12 +158,6 @@ IN_PLAIN_UNITS = {
 }
 """Ratios, of all or of a part of the torso, that scale these."""
 TIMES_DEFAULT, TIMES_WHOLE = "times the default stiffness", "times the ratio of the whole"
-
-
-def is_beside_whole(name: str, parameters: Sequence[str]) -> bool:
-    """Whether a ratio is of a part whose whole has one among ``parameters``, too: then it is relative to that one."""
-    whole = name.partition(AT)[0]
-    return name != whole and whole in parameters
 
 
 def ratio_unit(name: str, parameters: Sequence[str]) -> str:

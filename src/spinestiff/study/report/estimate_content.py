@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from spinestiff.anatomy.regions import AT
+from spinestiff.anatomy.regions import AT, is_beside_whole
 from spinestiff.arrays import Floats
 from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
@@ -34,7 +34,6 @@ from spinestiff.study.wording import (
     has_intervals,
     held_lines,
     interval,
-    is_beside_whole,
     most_costly,
     moved_sd,
     number,
