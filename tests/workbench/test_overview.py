@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 import shutil
 import sys
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,7 +17,7 @@ from bench_page import click, go, load, text
 from chromium import browser
 from spinestiff.files import read_json, write_json
 from spinestiff.study.repeat_words import repeatability_lines
-from spinestiff.study.repeatability import estimate_of, repeatability
+from spinestiff.study.repeatability import VisitEstimate, VisitRatio, estimate_of, repeatability
 from spinestiff.study.report.clinician import stiffness
 from spinestiff.study.visit import open_visit
 from spinestiff.study.wording import RATIO_TITLES, TIMES_DEFAULT, TIMES_WHOLE, told_stiffness
@@ -137,6 +139,23 @@ def test_a_copy_is_no_second_visit(visits, serve):
         told = served.good("GET", f"/api/visits/{served.key('first')}/{served.key('second')}")
     assert told["same"] and not told["lines"] and "a copy is no second visit" in told["problem"]
     assert "--" not in told["problem"] and "spinestiff" not in told["problem"]
+
+
+def test_a_change_of_which_nothing_is_known_is_told_in_words_alone(monkeypatch, tmp_path):
+    """The page writes numbers: an end of an interval that is infinite is none, and none can't be written."""
+    first, second = (
+        VisitEstimate(name, "girl", {"tissue": VisitRatio(0.1, sd, sd, known), "bending": VisitRatio(0.1, 0.2, 0.5)})
+        for name, sd, known in (("first", 0.2, True), ("second", 1000.0, False))
+    )
+    of = {tmp_path / "first": first, tmp_path / "second": second}
+    person = SimpleNamespace(record=SimpleNamespace(id="girl"))
+    monkeypatch.setattr(compared, "read_unannotated", lambda folder: person)
+    monkeypatch.setattr(compared, "open_visit", lambda folder: folder)
+    monkeypatch.setattr(compared, "estimate_of", of.get)
+    told = compared.visits_record(*of)
+    assert [one["name"] for one in told["changes"]] == ["bending"]
+    assert any("tissue, first to second: can't be told" in line for line in told["lines"])
+    json.dumps(told, allow_nan=False)
 
 
 def test_two_visits_of_one_person_are_told_as_repeat_tells_them(visits, serve, tmp_path, taken_anew):
