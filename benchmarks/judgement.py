@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 from judgement_subjects import Estimated, Subject, estimate, make_subject
+from kept_rows import begun, prepare
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
@@ -475,8 +476,9 @@ def main() -> None:
         lines(arguments.first, arguments.keep)
         return
     rows: list[dict[str, Any]] = []
-    if arguments.log is not None and arguments.log.exists():
-        rows = [json.loads(line) for line in arguments.log.read_text(encoding="utf-8").splitlines()]
+    if arguments.log is not None:
+        prepare(arguments.log)
+        rows = begun(arguments.log)
     done = {row["seed"] for row in rows}
     seeds = [s for s in range(arguments.first, arguments.first + arguments.subjects) if s not in done]
     mixed = [s < arguments.first + arguments.mixed for s in seeds]
