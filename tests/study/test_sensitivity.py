@@ -14,11 +14,11 @@ from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.files import read_json
 from spinestiff.study import sensitivity
+from spinestiff.study.paper import TABLE_7
 from spinestiff.study.refits import basis_of
 from spinestiff.study.sensitivity import (
     BENDING,
     LEVER_MM,
-    TABLE_7,
     Case,
     force_percent,
     leading_mode,

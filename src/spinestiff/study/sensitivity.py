@@ -49,11 +49,6 @@ PAPER_SERIES: Mapping[Series, tuple[str, ...]] = {
     "kept": (BENDING, "tissue_mu"),
     "everything": ("everything",),
 }
-# Koutras et al. 2025, Table 7: percent for 10 % of force, seven subjects.
-TABLE_7: Mapping[str, tuple[float, ...]] = {
-    BENDING: (10.4, 7.9, 18.8, 0.0, 0.0, 13.8, 2.4),
-    "tissue_mu": (25.0, 44.4, 14.7, 27.8, 18.2, 40.0, 30.0),
-}
 
 
 @dataclass(frozen=True)

@@ -150,10 +150,11 @@ RATIO_TITLES = {
     "everything": "All stiffnesses together",
 }
 """What ratios scale, in words."""
-_BENDING = ("lateral_bending", "intervertebral_bending", "everything")
+BENDING_RATIOS = ("lateral_bending", "intervertebral_bending", "everything")
+"""Ratios that scale a level's lateral bending as a whole."""
 IN_PLAIN_UNITS = {
-    "lateral_bending_thoracic": _BENDING,
-    "lateral_bending_lumbar": _BENDING,
+    "lateral_bending_thoracic": BENDING_RATIOS,
+    "lateral_bending_lumbar": BENDING_RATIOS,
     "tissue_young": ("tissue", "everything"),
 }
 """Ratios, of all or of a part of the torso, that scale these."""

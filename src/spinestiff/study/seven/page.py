@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom
 
+from spinestiff.study.paper import SUBJECTS
 from spinestiff.study.seven.account import TIMED, cost_rows, cost_words, found_by, time_goal
 from spinestiff.study.seven.discussion import differing, points_of_conclusions, points_of_results
 from spinestiff.study.seven.goals import (
@@ -22,7 +23,6 @@ from spinestiff.study.seven.goals import (
     motions,
     places,
 )
-from spinestiff.study.seven.paper import SUBJECTS
 from spinestiff.study.seven.participants import (
     COUNT_OTHERS,
     FORCE_N,
