@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import io
 import json
@@ -685,6 +686,17 @@ def test_what_is_removed_can_be_put_back(served, root):
     assert served.ask("POST", f"/api/trash/{trash}/restore", {})[0] == 422
     served.good("DELETE", f"/api/trash/{trash}")
     assert served.good("GET", "/api/trash")["trash"] == []
+
+
+def test_a_subject_that_can_not_be_removed_leaves_nothing_in_the_trash(served, root, monkeypatch):
+    def refused(self, target):
+        raise OSError(errno.EXDEV, "another disk")
+
+    trash = served.bench.trash
+    monkeypatch.setattr(type(root), "rename", refused)
+    with pytest.raises(SubjectError, match="the subject can't be removed"):
+        trash.remove(root / "girl")
+    assert (root / "girl" / "subject.json").is_file() and not list(trash.folder.iterdir())
 
 
 def test_a_subject_is_not_removed_under_marks_that_are_being_saved(served, root, monkeypatch):
