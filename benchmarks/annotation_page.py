@@ -5,7 +5,7 @@ Chromium on this machine. Opened: from the choice of the push until its first pi
 its frame is drawn; first while the other frames are still fetched, then with all of them there. What else the machine
 does counts: its load goes into the result.
 
-    python benchmarks/annotation_page.py [--side 3000] [--frames 100] [--out FILE]
+    python benchmarks/annotation_page.py [--side 3000] [--frames 100] [--write]
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from spinestiff.files import write_json
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.radiograph import write_radiographs
 
+RESULTS = Path(__file__).parent / "results" / "annotation_page.json"
 WINDOWS = ((1024, 600), (1440, 900))
 AT_ONCE = 30
 PUSH = "push/a"
@@ -47,7 +48,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--side", type=int, default=3000)
     parser.add_argument("--frames", type=int, default=100)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "annotation_page.json")
+    parser.add_argument("--write", action="store_true", help="store it in benchmarks/results/")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "large"
@@ -63,7 +64,8 @@ def main() -> None:
         "niceness": os.nice(0) if hasattr(os, "nice") else 0,
         "windows": rows,
     }
-    write_json(given.out, found)
+    if given.write:
+        write_json(RESULTS, found)
 
 
 def write_folder(folder: Path, side: int, count: int) -> None:

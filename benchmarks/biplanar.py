@@ -39,6 +39,7 @@ from judgement_subjects import (
     projected,
     standing,
 )
+from kept_rows import prepare, rows_of
 from rich.console import Console
 from rich.table import Table
 
@@ -432,14 +433,14 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     if asked.log:
+        prepare(asked.log)
         with asked.log.open("a", encoding="utf-8") as log:
             for seed in asked.seeds:
                 print(json.dumps(run_one(seed, asked.seen)), file=log, flush=True)
         return
     if asked.store:
         joined: dict[int, dict[str, Any]] = {}
-        for line in asked.store.read_text(encoding="utf-8").splitlines():
-            row = json.loads(line)
+        for row in rows_of([asked.store]):
             joined[row["seed"]] = {**joined.get(row["seed"], {}), **row}
         rows = [joined[seed] for seed in sorted(joined)]
         RESULTS.write_text(json.dumps({"subjects": rows, "rigs": rigs()}, indent=1) + "\n", encoding="utf-8")

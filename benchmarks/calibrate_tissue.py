@@ -35,7 +35,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.supports import PELVES, three_point_supports
 from spinestiff.personalise.placing import place_vertebrae
-from spinestiff.study.seven import paper
+from spinestiff.study import paper
 from spinestiff.study.spines import CURVES, curved_spine
 
 TARGET_N_PER_DEG = 3.66

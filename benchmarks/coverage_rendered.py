@@ -22,7 +22,6 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.priors import Priors
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -31,13 +30,12 @@ from spinestiff.mechanics.push import push_heights
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.runner import run_steps
 from spinestiff.study.spines import CURVES
-from spinestiff.study.synthetic import Recipe, SyntheticPush, subject_torso, synthesise
+from spinestiff.study.synthetic import Recipe, SyntheticPush, misread, subject_torso, synthesise
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import load_pushes, load_start, open_visit
 from spinestiff.subject.records import DISTANCES_MM, SUBJECT_FILE
 
 HEIGHT_CM = (138.0, 174.0)
-LEVEL_MM = 25.0  # from rib to rib along the spine
 LEVEL_STEP = 0.1
 # Of the push that a subject can bear; the supports that give add some degrees to the level pelvis' tilt.
 SUPPORTS_TILT = np.deg2rad(5.0)
@@ -131,9 +129,7 @@ def _below_shoulder(torso: TorsoModel, side: Literal["left", "right"], push: Syn
 
 def _told(path: Path, random: np.random.Generator) -> None:
     """What is told of each push: forces as a gauge with errors reads them, the level as it is felt."""
-    p, record = Priors(), json.loads(path.read_text(encoding="utf-8"))
+    record = json.loads(path.read_text(encoding="utf-8"))
     for push in record["pushes"]:
-        scale, offset = p.force_scale * random.normal(), p.force_offset_n * random.normal()
-        push["forces_n"] = [round((f - offset) * np.exp(-scale), 1) if f > 0.0 else 0.0 for f in push["forces_n"]]
-        push["level"] = round(float(np.clip(push["level"] + p.push_height_mm / LEVEL_MM * random.normal(), 1, 12)), 1)
+        push["forces_n"], push["level"] = misread(push["forces_n"], push["level"], random)
     path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

@@ -53,6 +53,7 @@ from typing import Any, Literal
 
 import numpy as np
 from judgement_subjects import AGES, KYPHOSIS_DEG, LORDOSIS_DEG, PERSON_SD, SPINE_LENGTH_SD, VERTEBRA_SD, standing
+from kept_rows import begun, prepare
 
 from spinestiff.anatomy.names import INTERVERTEBRAL
 from spinestiff.anatomy.state import TorsoState
@@ -515,6 +516,7 @@ def tasks(first: int, count: int) -> Iterator[tuple[int, Mesh, tuple[tuple[str, 
 
 def run(path: Path, first: int, count: int) -> None:
     """Make the pairs of ``count`` subjects; those that are in the file already are left as they are."""
+    prepare(path)
     done = {(row["subject"], row["kind"], row["draw"]) for row in read(path)}
     for number, mesh, kinds in tasks(first, count):
         todo = [(kind, draw) for kind, draw in kinds if (number, kind, draw) not in done]
@@ -542,9 +544,7 @@ def run(path: Path, first: int, count: int) -> None:
 
 def read(path: Path) -> list[dict[str, Any]]:
     """The rows that were written, failed ones with their cause under "failed"."""
-    if not path.exists():
-        return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+    return begun(path)
 
 
 def _append(path: Path, row: dict[str, Any]) -> None:

@@ -29,10 +29,12 @@ from typing import Any
 
 import numpy as np
 from judgement_subjects import Estimated, Subject, estimate, make_subject
+from kept_rows import begun, prepare
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.fitted import StiffnessFit
+from spinestiff.estimation.objective import make_target, residuals
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, usable_corners
 from spinestiff.personalise.shape import personalise
@@ -191,12 +193,11 @@ def misread_force(case: Case, factor: float) -> Case:
     changes = []
     last = int(np.argmax([t.force_n for t in case.pushes.training]))
     for i, (item, part) in enumerate(zip(case.pushes.training, case.fit.residuals, strict=True)):
-        still = part.difference - part.fitted  # simulated minus measured at rest, both without force
-        moved = part.difference - still
-        _, start, end = _motion(case, item)
-        simulated = moved + (end - start)
+        torso = case.pushes.torso
+        start = residuals(torso, make_target(torso, item.trial, case.fit.orientation), torso.rest_pose)
+        simulated = part.difference - start.difference  # motion from rest
         changes.append((factor - 1.0) * simulated * (i == last))
-    return replace(case, fit=refitted(case.fit, changes))
+    return replace(case, fit=refitted(case, changes))
 
 
 def lost_vertebra(case: Case, mm: float) -> Case:
@@ -208,14 +209,15 @@ def lost_vertebra(case: Case, mm: float) -> Case:
         sure = np.flatnonzero(part.weights >= DOUBTED_QUALITY)
         change[sure[chosen(case, len(sure))]] = mm * np.array([1.0, 0.0]) * (i == last)
         changes.append(change)
-    return replace(case, fit=refitted(case.fit, changes))
+    return replace(case, fit=refitted(case, changes))
 
 
-def refitted(fit: StiffnessFit, changes: Sequence[np.ndarray]) -> StiffnessFit:
+def refitted(case: Case, changes: Sequence[np.ndarray]) -> StiffnessFit:
     """The fit after its residuals (simulated minus measured) changed: what the ratios can take of it is gone."""
+    fit, slopes = case.fit, in_log_ratio(case)
     roots = [np.sqrt(part.weights)[:, None, None] for part in fit.residuals]
     stacked = np.concatenate([(root * change).ravel() for root, change in zip(roots, changes)])
-    taken = fit.jacobian @ np.linalg.lstsq(fit.jacobian, stacked, rcond=1e-6)[0]
+    taken = slopes @ np.linalg.lstsq(slopes, stacked, rcond=1e-6)[0]
     parts, at = [], 0
     for part, root, change in zip(fit.residuals, roots, changes):
         here = taken[at : at + change.size].reshape(change.shape)
@@ -224,10 +226,14 @@ def refitted(fit: StiffnessFit, changes: Sequence[np.ndarray]) -> StiffnessFit:
     return replace(fit, residuals=tuple(parts))
 
 
-def _motion(case: Case, item):  # type: ignore[no-untyped-def]
-    from spinestiff.study.misfit import motion
-
-    return motion(case.pushes.torso, item.trial, case.pushes.reference(item.push).trial)
+def in_log_ratio(case: Case) -> np.ndarray:
+    """(n, P) derivative of the fit's stacked, weighed residuals in log ratio, under the forces as told."""
+    fit, found = case.fit, []
+    for item, part, solved in zip(case.pushes.training, fit.residuals, fit.equilibria, strict=True):
+        problem, load = case.pushes.problems[item.push], item.trial.load
+        there = problem.solve(load, fit.ratios, solved.state).require()
+        found.append(part.along(problem.linearise(there, load, fit.ratios).forward(fit.ratios.groups)))
+    return np.concatenate(found)
 
 
 def other_lateral(case: Case, step: float) -> Case:
@@ -253,9 +259,8 @@ def reshaped(case: Case, subject: Subject) -> Case:
 def with_corners(subject: Subject, push: str, change: Callable[[VertebraCorners], VertebraCorners]) -> Subject:
     """The subject with the corners of every frame of a push changed."""
     tracked = subject.tracked[push]
-    forces = [frame.force_n for frame in tracked.frames]
-    corners = [change(tracked.corners(i)) for i in range(len(forces))]
-    return replace(subject, tracked={**subject.tracked, push: TrackedPush.of(tracked.view.view(), forces, corners)})
+    corners = [change(tracked.corners(i)) for i in range(len(tracked.frames))]
+    return replace(subject, tracked={**subject.tracked, push: TrackedPush.of(tracked.view.view(), corners)})
 
 
 def chosen(case: Case, count: int) -> int:
@@ -471,8 +476,9 @@ def main() -> None:
         lines(arguments.first, arguments.keep)
         return
     rows: list[dict[str, Any]] = []
-    if arguments.log is not None and arguments.log.exists():
-        rows = [json.loads(line) for line in arguments.log.read_text(encoding="utf-8").splitlines()]
+    if arguments.log is not None:
+        prepare(arguments.log)
+        rows = begun(arguments.log)
     done = {row["seed"] for row in rows}
     seeds = [s for s in range(arguments.first, arguments.first + arguments.subjects) if s not in done]
     mixed = [s < arguments.first + arguments.mixed for s in seeds]

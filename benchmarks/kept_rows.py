@@ -19,8 +19,9 @@ ROOT = Path(__file__).parent.parent
 
 
 def rows_of(paths: Iterable[Path]) -> list[dict[str, Any]]:
-    """All rows of some logs."""
-    return [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+    """All rows of some logs that were written whole; a last line without an end was not."""
+    texts = [path.read_text(encoding="utf-8") for path in paths]
+    return [json.loads(line) for text in texts for line in text[: text.rfind("\n") + 1].splitlines()]
 
 
 def begun(log: Path) -> list[dict[str, Any]]:
@@ -29,11 +30,14 @@ def begun(log: Path) -> list[dict[str, Any]]:
 
 
 def prepare(log: Path) -> None:
-    """Make a log's folder, and end the program in one line where the log can't be written, before any work for it."""
+    """Make a log's folder, take away a row that was not written whole, and end the program in one line where the log
+    can't be written, before any work for it."""
     with _told(log):
         log.parent.mkdir(parents=True, exist_ok=True)
         new = not log.exists()
-        log.open("a").close()
+        with log.open("ab+") as stream:
+            stream.seek(0)
+            stream.truncate(stream.read().rfind(b"\n") + 1)
         if new:
             log.unlink()
 
@@ -48,7 +52,7 @@ def _told(path: Path) -> Iterator[None]:
 
 def keep(log: Path, row: Mapping[str, Any]) -> None:
     """Put a row at the end of a log, its numbers with as many digits as a log keeps."""
-    with _told(log), log.open("a") as stream:
+    with _told(log), log.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(rounded(row)) + "\n")
 
 

@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 from discrepancy import Pair, pair_of, weighed
 from discrepancy_pairs import LEVELS, ROOT, Bench, Frame, at_frames, rounded, subject_of
+from kept_rows import begun, prepare
 
 from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.template import OWN_MESH, template_torso
@@ -165,7 +166,8 @@ def main() -> None:
     asked.scratch.mkdir(parents=True, exist_ok=True)
     log, cache = asked.scratch / "limit.jsonl", asked.scratch / "meshes"
     cache.mkdir(exist_ok=True)
-    rows = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
+    prepare(log)
+    rows = begun(log)
     for number in range(asked.subjects):
         done = {row["mesh"] for row in rows if row["subject"] == number}
         todo = [mesh for mesh in asked.meshes if mesh not in done]

@@ -51,6 +51,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept_rows import begun, prepare
 from scipy.optimize import least_squares
 
 from spinestiff.anatomy.names import VERTEBRAE
@@ -484,10 +485,10 @@ def cohort(table: Path, limit: int | None) -> tuple[list[Truth], list[Truth], di
 
 def read_log(path: Path | None) -> dict[tuple[str, str], dict[str, Any]]:
     """Records of an earlier run by scenario and subject."""
-    if path is None or not path.exists():
+    if path is None:
         return {}
-    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return {(row.pop("scenario"), row["subject"]): row for row in rows}
+    prepare(path)
+    return {(row.pop("scenario"), row["subject"]): row for row in begun(path)}
 
 
 def _task(task: tuple[str, Truth, int]) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept_rows import begun, prepare
 
 from spinestiff.anatomy.template import MESHES, OWN_MESH, template_torso
 from spinestiff.errors import SpinestiffError, SubjectError
@@ -109,8 +110,9 @@ def main() -> None:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     wanted, skipped = tasks(arguments.spines, arguments.mesh)
     known: dict[str, dict[str, Any]] = {}
-    if arguments.log and arguments.log.exists():
-        known = {(row := json.loads(line)).pop("name"): row for line in arguments.log.read_text("utf-8").splitlines()}
+    if arguments.log:
+        prepare(arguments.log)
+        known = {row.pop("name"): row for row in begun(arguments.log)}
     todo = [task for task in wanted if name_of(task) not in known]
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for task, row in zip(todo, pool.map(partial(made, arguments.spines), todo)):

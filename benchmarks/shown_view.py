@@ -5,7 +5,7 @@ from neck to thigh on one twice as high, and the trunk between black shutters, w
 ``imaging.shown_view`` were set with other subjects. ``--images``: a folder of real frontal radiographs (JPEG or PNG,
 bone bright), no part of the project.
 
-    python benchmarks/shown_view.py [--images FOLDER] [--out FILE]
+    python benchmarks/shown_view.py [--images FOLDER] [--write]
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ import numpy as np
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
-from spinestiff.files import write_json
+from spinestiff.files import read_json, write_json
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.imaging.shown_view import shown_view
 from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition, acquire
 from spinestiff.study.recipe import Recipe
 from spinestiff.study.synthetic import subject_torso
 
+RESULTS = Path(__file__).parent / "results" / "shown_view.json"
 DETECTOR_MM = 427.0
 STANDING_SD_MM = 8.0
 SHUTTERS_MM = (20.0, 60.0)
@@ -50,7 +51,7 @@ BODIES = (
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--images", type=Path, help="folder of real frontal radiographs")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "shown_view.json")
+    parser.add_argument("--write", action="store_true", help="store it in benchmarks/results/")
     given = parser.parse_args()
     found: dict[str, Counter[str]] = {}
     for group, view, pixels in [*synthetic(), *real(given.images)]:
@@ -59,7 +60,10 @@ def main() -> None:
         found.setdefault(f"{group}, {view}", Counter())[said] += 1
     for name, counts in found.items():
         print(f"{name:40s} {', '.join(f'{count} {said}' for said, count in sorted(counts.items()))}")
-    write_json(given.out, {name: dict(sorted(counts.items())) for name, counts in found.items()})
+    if given.write:
+        # Rows of files that were not at hand stay.
+        counted = {name: dict(sorted(counts.items())) for name, counts in found.items()}
+        write_json(RESULTS, {**(read_json(RESULTS) if RESULTS.is_file() else {}), **counted})
 
 
 def torsos(random: np.random.Generator) -> Iterator[tuple[str, TorsoModel]]:

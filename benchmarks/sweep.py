@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from calibrate_tissue import SUBJECTS, Body
+from kept_rows import begun, prepare
 from multiplicity import SAME_MM, apart, follow_load
 from scipy.stats import qmc
 
@@ -230,8 +231,9 @@ def main() -> None:
     chosen = arguments.body or range(len(BODIES))
     points = [point for point in sample(arguments.points, arguments.seed) if point.body in chosen]
     rows: list[dict[str, Any]] = []
-    if arguments.log is not None and arguments.log.exists():
-        rows = [json.loads(line) for line in arguments.log.read_text(encoding="utf-8").splitlines()]
+    if arguments.log is not None:
+        prepare(arguments.log)
+        rows = begun(arguments.log)
     done = {row["number"] for row in rows}
     if len(done) < len(points):
         bodies = {i: Body(SUBJECTS[BODIES[i]], "coarse") for i in chosen}

@@ -41,7 +41,7 @@ from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push, three_point_reactions
 from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
-from spinestiff.study.seven import paper
+from spinestiff.study import paper
 
 Found = dict[str, Any]
 PLANES = {"FE": 0, "AR": 1, "LB": 2}  # axis of the moment: lateral, along the spine, sagittal

@@ -10,7 +10,7 @@ the median of what ``annotation.py`` has counted last on synthetic radiographs o
 Lists and dialogs of the system can't be driven from a page: a choice from a list counts as two clicks and is made by
 script, a dropped folder as a drag and the time to find it.
 
-    python benchmarks/workbench_way.py [--out FILE]
+    python benchmarks/workbench_way.py [--write]
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class Hands:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS / "workbench_way.json")
+    parser.add_argument("--write", action="store_true", help="store it in benchmarks/results/")
     given = parser.parse_args()
     marking = annotation_seconds(RESULTS / "annotation.json")
     rows = [whole_way(count, marking) for count in PUSHES]
@@ -148,7 +148,9 @@ def main() -> None:
                     "find": FIND_S, "look": LOOK_S},
         "frames": FRAMES, "annotation_tolerance_mm": TOLERANCE_MM, "annotation_s_by_radiograph": marking,
     }  # fmt: skip
-    write_json(given.out, {"date": datetime.date.today().isoformat(), "settings": settings, "ways": rows})
+    if given.write:
+        found = {"date": datetime.date.today().isoformat(), "settings": settings, "ways": rows}
+        write_json(RESULTS / "workbench_way.json", found)
 
 
 def annotation_seconds(path: Path) -> dict[str, float]:

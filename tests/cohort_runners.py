@@ -11,6 +11,7 @@ from pathlib import Path
 from spinestiff.cohort.row import Row, Stiffness, write_row
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.files import write_json, write_text
+from spinestiff.study.wording import TIMES_DEFAULT
 
 QUICK = "cohort_runners:quick"
 
@@ -31,7 +32,8 @@ def row(participant: str, number: int) -> Row:
     """A row that its number decides."""
     sd = 0.1 + 0.02 * (number % 5)
     value = 0.1 * 1.05 ** (number % 7)
-    stiffness = Stiffness(value=value, unit="", low=value * 0.8, high=value * 1.25, sd_log=sd, visit_sd_log=0.5 * sd)
+    ends = {"low": value * 0.8, "high": value * 1.25}
+    stiffness = Stiffness(value=value, unit=TIMES_DEFAULT, **ends, sd_log=sd, visit_sd_log=0.5 * sd)
     return Row(
         participant=participant, id=participant, age=10.0 + number % 8, sex="male" if number % 3 == 0 else "female",
         height_cm=150.0 + number % 30, cobb_deg=-30.0 + number % 61, curve="main thoracic", status="CONVERGED",

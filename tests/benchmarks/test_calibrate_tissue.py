@@ -10,7 +10,7 @@ import pytest
 
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.seven.paper import SUBJECTS
+from spinestiff.study.paper import SUBJECTS
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 

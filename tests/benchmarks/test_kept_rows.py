@@ -23,6 +23,20 @@ def test_a_campaign_goes_on_where_it_was(tmp_path) -> None:
         rows.rows_of([tmp_path / "none"])
 
 
+@pytest.mark.parametrize("torn", ['{"seed": 2, "z": [0.', '{"seed": 2, "z": {"a": 1}'])
+def test_a_row_that_was_not_written_whole_is_left_out_and_made_again(tmp_path, torn) -> None:
+    """As a kill or a full disk leaves it, also where what is there of it ends with a bracket."""
+    pairs = benchmark("discrepancy_pairs")
+    first = {"subject": 1, "kind": "body", "draw": 0}
+    for read, begin in ((rows.begun, rows.prepare), (pairs.read, lambda log: pairs.run(log, 0, 0))):
+        log = tmp_path / "log.jsonl"
+        log.write_text(json.dumps(first) + "\n" + torn, encoding="utf-8")
+        assert read(log) == [first]
+        begin(log)
+        rows.keep(log, {"seed": 2})
+        assert read(log) == [first, {"seed": 2}]
+
+
 def test_a_summary_is_printed_and_stored_where_asked(tmp_path, capsys) -> None:
     rows.tell({"people": 3}, None)
     assert json.loads(capsys.readouterr().out)["people"] == 3

@@ -21,6 +21,7 @@ from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.cohort.worker import Task, make_results
 from spinestiff.errors import InUseError, SubjectError
 from spinestiff.files import file_digest
+from spinestiff.study.wording import TIMES_DEFAULT, TIMES_WHOLE
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate, RatioEstimate, TrainingError
 
@@ -97,7 +98,7 @@ def test_a_row_that_cannot_be_read_is_out_of_date_and_stops_nobody(made):
 
 def test_the_table_holds_numbers_as_they_are_and_no_formula():
     stiffness = {
-        "tissue": Stiffness(value=0.1, unit="", low=0.05, high=0.2, sd_log=0.3),
+        "tissue": Stiffness(value=0.1, unit=TIMES_DEFAULT, low=0.05, high=0.2, sd_log=0.3),
         "tissue_young": Stiffness(value=3.0, unit="kPa", low=1.0, high=9.0, open_low=True, open_high=True),
         "lateral_bending_lumbar": Stiffness(value=1 / 3, unit="N m/rad"),
     }
@@ -111,6 +112,11 @@ def test_the_table_holds_numbers_as_they_are_and_no_formula():
     assert first["lateral_bending_lumbar_Nm_per_rad"] == repr(1 / 3)
     assert first["lateral_bending_lumbar_Nm_per_rad_low"] == ""
     assert (second["words"], second["age"], second["tissue"]) == ("'=1+2, or so", "", "")
+    part = Stiffness(value=1.2, unit=TIMES_WHOLE)
+    members.append(Member("c", "done", "", row("c", 2).model_copy(update={"stiffness": {"tissue": part}})))
+    *others, third = csv.DictReader(io.StringIO(csv_text(members)))
+    assert (third["tissue"], third["tissue_of_whole"]) == ("", "1.2")
+    assert [one["tissue_of_whole"] for one in others] == ["", ""]
     header, rows = table(members)
     assert len(set(header)) == len(header)
     assert {len(cells) for cells in rows} == {len(header)}
@@ -174,8 +180,29 @@ def test_a_row_of_the_paper_s_estimate_is_determined_to_no_degree(monkeypatch):
     assert (row.determined, row.stiffness["tissue"].sd_log) == ("no intervals", None)
 
 
+def test_a_row_says_what_a_ratio_is_relative_to(monkeypatch):
+    ratio = RatioEstimate.of(1.2, (0.8, 1.8), (False, False), False)
+    found: dict = {Assessment: Assessment(frames=())}
+    monkeypatch.setattr(subject_run, "read_outcome", lambda subject, kind: found[kind])
+    monkeypatch.setattr(subject_run, "rest_reading", lambda subject: SimpleNamespace(largest=None))
+    push = SimpleNamespace(forces_n=(0.0, 40.0), roles=("training", "training"))
+    record = SimpleNamespace(id="a", age=12.0, sex="female", height_cm=150.0, mass_kg=None, pushes=(push,))
+    units = {}
+    for names in (("tissue@thorax",), ("tissue", "tissue@thorax")):
+        found[Estimate] = Estimate.model_construct(
+            status="CONVERGED", determined="determined", ratios=dict.fromkeys(names, ratio), plain={}, method="weighed",
+            checks=(), visit_sd_log={}, training_rmse_mm=TrainingError(default=1.0, fit=0.5), p_value=None,
+        )  # fmt: skip
+        row = subject_run.row_of(SimpleNamespace(subject=SimpleNamespace(record=record)), "sub-01")
+        units[names] = {name: one.unit for name, one in row.stiffness.items()}
+    assert units == {
+        ("tissue@thorax",): {"tissue@thorax": TIMES_DEFAULT},
+        ("tissue", "tissue@thorax"): {"tissue": TIMES_DEFAULT, "tissue@thorax": TIMES_WHOLE},
+    }
+
+
 def test_a_row_of_a_ratio_that_nothing_shows_knows_no_scatter_from_visit_to_visit():
     """As of joints that a torso does not have: 0 to first order, which is no scatter."""
     ratio = RatioEstimate.of(1.0, (0.0025, 5.0), (True, True), False)
     estimate = Estimate.model_construct(ratios={"rib_vertebra": ratio}, visit_sd_log={"rib_vertebra": 0.0})
-    assert subject_run._stiffness(ratio, "", estimate, "rib_vertebra").visit_sd_log is None
+    assert subject_run._stiffness(ratio, TIMES_DEFAULT, estimate, "rib_vertebra").visit_sd_log is None

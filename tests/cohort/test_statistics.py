@@ -8,9 +8,12 @@ from scipy.stats import norm, t, ttest_ind
 
 from cohort_runners import row
 from spinestiff.cohort.group import Member
+from spinestiff.cohort.page import cohort_page
+from spinestiff.cohort.picture import draw_statistics
 from spinestiff.cohort.row import Stiffness
 from spinestiff.cohort.statistics import Effect, _holm, cohort_statistics, covariates
-from spinestiff.cohort.statistics_words import statistics_sections
+from spinestiff.cohort.statistics_words import statistics_sections, title_of
+from spinestiff.study.wording import TIMES_DEFAULT, TIMES_WHOLE
 
 
 def people(count, effect=0.0, seed=0, **changes):
@@ -22,7 +25,8 @@ def people(count, effect=0.0, seed=0, **changes):
         age, sd = float(random.uniform(10.0, 16.0)), float(random.uniform(0.05, 0.3))
         log = effect * (age - 13.0) + random.normal(0.0, 0.2) + random.normal(0.0, sd)
         value = 0.1 * float(np.exp(log))
-        stiffness = Stiffness(value=value, unit="", low=value / 2, high=value * 2, sd_log=sd, visit_sd_log=0.1)
+        ends = {"low": value / 2, "high": value * 2}
+        stiffness = Stiffness(value=value, unit=TIMES_DEFAULT, **ends, sd_log=sd, visit_sd_log=0.1)
         fields = {"age": age, "height_cm": float(random.uniform(140.0, 180.0)), "stiffness": {"tissue": stiffness}}
         fields["sex"] = "male" if number % 3 == 0 else "female"
         members.append(Member(name, "done", "", row(name, number).model_copy(update={**fields, **changes})))
@@ -65,7 +69,7 @@ def test_95_percent_of_people_are_where_they_are_expected():
         for member in alike:
             sd = float(random.uniform(0.1, 0.3))
             value = float(np.exp(random.normal(0.0, 0.1) + random.normal(0.0, sd)))
-            stiffness = Stiffness(value=value, unit="", low=value / 2, high=value * 2, sd_log=sd)
+            stiffness = Stiffness(value=value, unit=TIMES_DEFAULT, low=value / 2, high=value * 2, sd_log=sd)
             row = member.row.model_copy(update={"stiffness": {"tissue": stiffness}})
             members.append(Member(member.participant, "done", "", row))
         (found,) = cohort_statistics(members)
@@ -95,6 +99,28 @@ def test_who_does_not_count_is_left_out_with_the_reason():
     (found,) = cohort_statistics(members)
     assert (found.people, found.left_out) == (5, reasons)
     assert cohort_statistics(members[:10]) == ()
+
+
+def test_ratios_to_the_whole_and_to_the_default_are_not_pooled():
+    """About 1 against about 0.1: together they were one population of people who differ by a factor of ten."""
+    members = people(13)
+    for number in (0, 3, 4, 6, 7, 9):
+        tissue = members[number].row.stiffness["tissue"]
+        beside = {"tissue": tissue.model_copy(update={"value": 10.0 * tissue.value, "unit": TIMES_WHOLE})}
+        row = members[number].row.model_copy(update={"stiffness": beside})
+        members[number] = Member(members[number].participant, "done", "", row)
+    default, whole = cohort_statistics(members)
+    assert (default.unit, default.people, whole.unit, whole.people) == (TIMES_DEFAULT, 7, TIMES_WHOLE, 6)
+    assert default.mean_high < 0.3 < whole.mean_low
+    assert default.left_out["sub-000"] == "its ratio is relative to the whole there"
+    assert whole.left_out["sub-001"] == "its ratio is relative to the default there"
+    assert set(default.left_out) == {person.participant for person in whole.shrunken}
+    assert [title_of(one) for one in (default, whole)] == [
+        "ratio tissue, times the default stiffness", "ratio tissue, times the ratio of the whole",
+    ]  # fmt: skip
+    draw_statistics((default, whole), members, ("", ""))
+    page = cohort_page(members)
+    assert "tissue, times default" in page and "tissue, times whole" in page
 
 
 def test_visits_of_one_person_are_not_as_many_people():

@@ -7,6 +7,7 @@ from spinestiff.cohort.group import Member
 from spinestiff.cohort.row import Stiffness
 from spinestiff.cohort.statistics import cohort_statistics
 from spinestiff.cohort.statistics_words import statistics_lines, statistics_sections
+from spinestiff.study.wording import TIMES_DEFAULT
 
 
 def people(logs, sd, **changes):
@@ -14,7 +15,7 @@ def people(logs, sd, **changes):
     members = []
     for number, log in enumerate(logs, 1):
         name, value = f"sub-{number:03d}", 0.1 * 2.0**log
-        stiffness = Stiffness(value=value, unit="", low=value / 2, high=value * 2, sd_log=sd)
+        stiffness = Stiffness(value=value, unit=TIMES_DEFAULT, low=value / 2, high=value * 2, sd_log=sd)
         fields = {"stiffness": {"tissue": stiffness}, **changes}
         members.append(Member(name, "done", "", row(name, number).model_copy(update=fields)))
     return members

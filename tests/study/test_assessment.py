@@ -17,10 +17,10 @@ from spinestiff.estimation.status import FitStatus
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features, target_features
 from spinestiff.imaging.projection import FRONT, LEFT, UP, frontal_view, placed_view
 from spinestiff.study import assessment
-from spinestiff.study.assessment import BASELINES, assess, change_record, extrapolated, single_ratio
+from spinestiff.study.assessment import assess, change_record, extrapolated, single_ratio
 from spinestiff.study.predictions import Model, Solved, predict, predictions_of
 from spinestiff.study.trials import push_set
-from spinestiff.subject.assessment_outcome import Assessment, CobbChangeRecord
+from spinestiff.subject.assessment_outcome import PREDICTORS, Assessment, CobbChangeRecord
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome
@@ -203,7 +203,7 @@ def test_errors_are_those_at_the_patient_plane(pushes):
     assert frame.rmse_mm["extrapolation"] == pytest.approx(0.2, abs=1e-6)
     assert frame.rmse_mm["fit"] == pytest.approx(frame.rmse_mm["rest"])
     assert [frame.rmse_mm[name] for name in ("default", "single_ratio", "truth")] == [None] * 3
-    assert set(frame.rmse_mm) == set(BASELINES)
+    assert set(frame.rmse_mm) == set(PREDICTORS)
     assert "default" not in frame.cobb_change_deg
     assert frame.cobb_change_deg["fit"].tilt == 0.0
     assert frame.cobb_change_deg["measured"].tilt == pytest.approx(0.0, abs=1e-9)
@@ -334,7 +334,7 @@ def test_what_is_written_of_a_whole_subject(finished):
     frames = read_outcome(read_subject(finished.folder), Assessment).frames
     assert [(f.push, f.frame, f.force_n) for f in frames] == [("main", 3, 30.0), ("second", 1, 30.0)]
     for frame in frames:
-        assert set(frame.rmse_mm) == set(BASELINES)
+        assert set(frame.rmse_mm) == set(PREDICTORS)
         assert set(frame.cobb_change_deg) == {"measured", "default", "fit", "forecast", "truth"}
         assert all(change is not None for change in frame.cobb_change_deg.values())
         errors = frame.rmse_mm

@@ -93,6 +93,9 @@ def test_both_sides_and_several_sites():
     # Without a push that has two forces, one frame has to train.
     assert roles(low, frames("r", 30.0)) == [["unused", "training"], ["validation"]]
     assert "none is left to check with" in reasons(frames("r", 30.0))[0][0]
+    (_, said), (other,) = reasons(low, frames("r", 30.0))
+    assert said.endswith("no push has frames under two forces; this one trains, another push's checks")
+    assert "left to check with" not in said + other
     # Nothing usable: nothing proposed.
     bad = replace(low[1], vertebrae=0)
     assert roles([low[0], bad]) == [["unused", "unused"]]

@@ -13,10 +13,10 @@ from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.objective import make_target
 from spinestiff.imaging.features import state_features
 from spinestiff.study import parameters
+from spinestiff.study.paper import TABLE_3
 from spinestiff.study.parameter_words import TITLES, gradient_rows, parameter_lines
 from spinestiff.study.parameters import (
     SIX,
-    TABLE_3,
     cross_folds,
     default_gradients,
     extreme,

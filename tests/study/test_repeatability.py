@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from spinestiff.app.repeat import record_of
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study.repeat_words import repeatability_lines
@@ -184,6 +185,18 @@ def test_a_change_is_told_in_words() -> None:
     assert "changed, softer by a factor of 2.50 (1.4 to 4.4)" in repeatability_lines(softer)[-1]
     disagreeing = repeatability(softer.visits, "annotators")
     assert repeatability_lines(disagreeing)[-1].endswith("annotation explains, a factor of 2.50 (1.4 to 4.4)")
+
+
+def test_a_ratio_of_which_the_radiographs_say_nothing_has_no_interval_of_its_change(tmp_path) -> None:
+    """Its error in log is 1000: the end of an interval was infinite, and the file could not be written."""
+    nothing = visit("a", 1, sd=1000.0, known=False, whole=1000.0, bending=1.0)
+    found = repeatability([visit("a", 0, bending=0.1), nothing])
+    (change,) = found.changes
+    assert (change.low, change.high, change.detectable_factor) == (None, None, None)
+    assert change.verdict == "can't be told" and change.factor == pytest.approx(10.0)
+    write_json(tmp_path / "repeat.json", record_of(found))
+    assert "can't be told" in repeatability_lines(found)[-1]
+    draw_repeatability(found)
 
 
 def test_what_is_not_known_has_not_changed_and_does_not_scatter() -> None:

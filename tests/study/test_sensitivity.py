@@ -13,11 +13,12 @@ from spinestiff.anatomy.regions import torso_ratios
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.files import read_json
+from spinestiff.study import sensitivity
+from spinestiff.study.paper import TABLE_7
 from spinestiff.study.refits import basis_of
 from spinestiff.study.sensitivity import (
     BENDING,
     LEVER_MM,
-    TABLE_7,
     Case,
     force_percent,
     leading_mode,
@@ -88,6 +89,21 @@ def test_another_default_modulus_changes_the_ratio_and_not_the_stiffness(visit) 
     assert stiffer.percent["lateral_bending"] == pytest.approx(0.0, abs=0.5)
     told = f"+20 % changes tissue by {fixed(stiffer.percent['tissue'], 0, True)} %"
     assert "−1" in told and any(told in line for line in sensitivity_lines(found))
+
+
+def test_another_default_modulus_does_not_change_a_part_beside_its_whole(monkeypatch) -> None:
+    """It is relative to the whole: +20 % on its own would show as a change of stiffness that nothing made."""
+    monkeypatch.setattr(sensitivity, "with_force", lambda visit, factor: visit)
+    visit = SimpleNamespace(subject=SimpleNamespace(pushes=()), settings=COARSE)
+    monkeypatch.setattr(sensitivity, "has_start", lambda visit: False)
+    for names, scaled in (
+        (("tissue", "tissue@thorax"), {"tissue"}),
+        (("lateral_bending", "tissue@thorax"), {"tissue@thorax"}),
+    ):
+        estimate = SimpleNamespace(orientation="procrustes", method="weighed")
+        basis = SimpleNamespace(visit=visit, torso=None, estimate=estimate, names=names)
+        cases = [case for case in weighed_cases(basis) if case.what == "default modulus"]
+        assert [set(case.scale) for case in cases] == [scaled] * 2
 
 
 def test_what_is_changed_reaches_the_trials(visit, monkeypatch) -> None:

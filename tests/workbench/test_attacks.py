@@ -28,7 +28,7 @@ from spinestiff.errors import NotThere, OptionError, SubjectError
 from spinestiff.formats import parse_json
 from spinestiff.loopback import guard, serving
 from spinestiff.loopback.guard import LARGEST_BODY, PROXY_HEADER, TOKEN_HEADER
-from spinestiff.workbench import rooms
+from spinestiff.workbench import rooms, uploads
 from spinestiff.workbench import unzip as unzipping
 from spinestiff.workbench.door import access_of, check_host
 from spinestiff.workbench.job_process import COMMAND, run_job
@@ -139,11 +139,22 @@ def test_files_and_folders_of_one_name_stay_apart_and_names_fit_the_disk(served,
 
 
 def test_a_folder_of_a_files_name_is_one_folder_in_a_later_announcement_too(served):
-    uploads = served.bench.uploads
-    key = uploads.begin()
-    uploads.announce(key, [("DICOM", 1), ("DICOM/IM1", 1)])
-    paths = [one["path"] for one in uploads.announce(key, [("DICOM/IM2", 1), ("DICOM/IM1", 1)])]
+    handed = served.bench.uploads
+    key = handed.begin()
+    handed.announce(key, [("DICOM", 1), ("DICOM/IM1", 1)])
+    paths = [one["path"] for one in handed.announce(key, [("DICOM/IM2", 1), ("DICOM/IM1", 1)])]
     assert paths == ["DICOM", "DICOM-2/IM1", "DICOM-2/IM2", "DICOM-2/IM1-2"]
+
+
+def test_what_has_come_of_an_upload_needs_no_room_again(served, monkeypatch):
+    handed = served.bench.uploads
+    key = handed.begin()
+    handed.announce(key, [("a.dcm", 1000)])
+    handed.piece(key, 0, 0, bytes(700))
+    monkeypatch.setattr(uploads, "room_bytes", lambda _: 400)
+    assert [one["come"] for one in handed.announce(key, [("b.dcm", 100)])] == [700, 0]
+    with pytest.raises(SubjectError, match="no room on the disk for 2 MB"):
+        handed.announce(key, [("c.dcm", 2 * 2**20)])
 
 
 def test_a_name_that_comes_thousands_of_times_is_counted_on(monkeypatch):

@@ -148,6 +148,36 @@ def test_a_skin_scan_comes_is_changed_taken_out_and_put_back(served, root):
     assert read_json(folder / "subject.json")["skin_scan"]["file"] == "skin-scan-2.obj"
 
 
+def test_a_file_that_the_schema_does_not_allow_is_mended_by_the_form(girl):
+    path = girl / "subject.json"
+    whole = read_json(path)
+
+    def broken(change):
+        values = json.loads(json.dumps(whole))
+        change(values, values["pushes"][0])
+        path.write_text(json.dumps(values), encoding="utf-8")
+        return form_record(girl)["revision"]
+
+    for change in (
+        lambda values, _: values.pop("pushes"),
+        lambda values, _: values.update(pushes=None),
+        lambda values, _: values.update(pushes=[None]),
+    ):
+        save_form(girl, {**whole, "pushes": []}, broken(change))
+        assert read_json(path)["pushes"] == []
+    for change in (
+        lambda _, push: push["views"][0].pop("files"),
+        lambda _, push: push["views"][0].update(files=["a"]),
+        lambda _, push: push["views"][0].pop("frames"),
+        lambda _, push: push["views"][0].update(frames=3),
+        lambda _, push: push.update(views="none"),
+        lambda _, push: push.update(views=["none"]),
+        lambda _, push: push.update(markers="none"),
+    ):
+        save_form(girl, whole, broken(change))
+        assert read_json(path) == whole
+
+
 def test_views_and_markers_are_edited_taken_out_and_put_back(girl):
     whole = read_json(girl / "subject.json")["pushes"][0]
     changed = save(girl, lambda push, _: push["views"][0].update(turned_deg=10.0, frames=[1, 2]))

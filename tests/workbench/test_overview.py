@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 import shutil
 import sys
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,7 +17,7 @@ from bench_page import click, go, load, text
 from chromium import browser
 from spinestiff.files import read_json, write_json
 from spinestiff.study.repeat_words import repeatability_lines
-from spinestiff.study.repeatability import estimate_of, repeatability
+from spinestiff.study.repeatability import VisitEstimate, VisitRatio, estimate_of, repeatability
 from spinestiff.study.report.clinician import stiffness
 from spinestiff.study.visit import open_visit
 from spinestiff.study.wording import RATIO_TITLES, TIMES_DEFAULT, TIMES_WHOLE, told_stiffness
@@ -119,7 +121,15 @@ def test_cells_say_what_is_open_and_are_no_formulas():
     assert first["tissue_ratio_open"] == "high" and first["age"] == "13.0"
     part = {**STIFFNESS, "name": "axial_rotation@lumbar", "unit": TIMES_WHOLE}
     (row,) = rows_of(overview_csv([{**cards[0], "result": {"badge": "determined", "stiffness": [part]}}]))
-    assert row["axial_rotation@lumbar_ratio"] == "0.5"
+    assert row["axial_rotation@lumbar_ratio_of_whole"] == "0.5" and "axial_rotation@lumbar_ratio" not in row
+    both = [
+        {**cards[0], "result": {"badge": "determined", "stiffness": [one]}}
+        for one in (part, {**part, "unit": TIMES_DEFAULT, "value": 0.1})
+    ]
+    found = [
+        [row[f"axial_rotation@lumbar_ratio{end}"] for end in ("_of_whole", "")] for row in rows_of(overview_csv(both))
+    ]
+    assert found == [["0.5", ""], ["", "0.1"]]
     for row in (bare, broken):
         assert {value for name, value in row.items() if name not in ("subject", "state")} == {""}
 
@@ -129,6 +139,23 @@ def test_a_copy_is_no_second_visit(visits, serve):
         told = served.good("GET", f"/api/visits/{served.key('first')}/{served.key('second')}")
     assert told["same"] and not told["lines"] and "a copy is no second visit" in told["problem"]
     assert "--" not in told["problem"] and "spinestiff" not in told["problem"]
+
+
+def test_a_change_of_which_nothing_is_known_is_told_in_words_alone(monkeypatch, tmp_path):
+    """The page writes numbers: an end of an interval that is infinite is none, and none can't be written."""
+    first, second = (
+        VisitEstimate(name, "girl", {"tissue": VisitRatio(0.1, sd, sd, known), "bending": VisitRatio(0.1, 0.2, 0.5)})
+        for name, sd, known in (("first", 0.2, True), ("second", 1000.0, False))
+    )
+    of = {tmp_path / "first": first, tmp_path / "second": second}
+    person = SimpleNamespace(record=SimpleNamespace(id="girl"))
+    monkeypatch.setattr(compared, "read_unannotated", lambda folder: person)
+    monkeypatch.setattr(compared, "open_visit", lambda folder: folder)
+    monkeypatch.setattr(compared, "estimate_of", of.get)
+    told = compared.visits_record(*of)
+    assert [one["name"] for one in told["changes"]] == ["bending"]
+    assert any("tissue, first to second: can't be told" in line for line in told["lines"])
+    json.dumps(told, allow_nan=False)
 
 
 def test_two_visits_of_one_person_are_told_as_repeat_tells_them(visits, serve, tmp_path, taken_anew):

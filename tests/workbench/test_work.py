@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import io
 import json
@@ -687,6 +688,17 @@ def test_what_is_removed_can_be_put_back(served, root):
     assert served.good("GET", "/api/trash")["trash"] == []
 
 
+def test_a_subject_that_can_not_be_removed_leaves_nothing_in_the_trash(served, root, monkeypatch):
+    def refused(self, target):
+        raise OSError(errno.EXDEV, "another disk")
+
+    trash = served.bench.trash
+    monkeypatch.setattr(type(root), "rename", refused)
+    with pytest.raises(SubjectError, match="the subject can't be removed"):
+        trash.remove(root / "girl")
+    assert (root / "girl" / "subject.json").is_file() and not list(trash.folder.iterdir())
+
+
 def test_a_subject_is_not_removed_under_marks_that_are_being_saved(served, root, monkeypatch):
     page, write = f"/annotate/{served.key()}/api", session.write_json
     removal = threading.Thread(target=served.bench.trash.remove, args=(root / "girl",))
@@ -803,3 +815,23 @@ def test_a_plan_that_is_older_than_the_estimate_is_called_out_of_date(served, ro
     (folder / "results" / "estimate.json").write_text("{} ", encoding="utf-8")
     write_json(folder / "subject.json", read_json(folder / "subject.json") | {"pelvis": "level"})
     assert served.good("GET", address)["plan_stale"] == ["the estimate", "values: supports"]
+
+
+def test_a_picture_of_what_has_changed_since_is_not_shown(served, root):
+    folder = root / "girl"
+    (folder / "results").mkdir()
+    for name in ("estimate.json", "sensitivity.png", "frames.png", "parameters.png"):
+        (folder / "results" / name).write_bytes(b"{}")
+    subject = read_unannotated(folder)
+    for step, inputs in (("sensitivity", ["results/estimate.json"]), ("frames", ["subject.json: pushes"])):
+        record_step(subject, step, step_record(subject, inputs, {}), [folder / "results" / f"{step}.png"])
+    address = f"/api/subjects/{served.key()}/results"
+
+    def shown():
+        return [one["name"] for one in served.good("GET", address)["pictures"]]
+
+    assert shown() == ["sensitivity.png", "frames.png"]
+    (folder / "results" / "estimate.json").write_text("{} ", encoding="utf-8")
+    assert shown() == ["frames.png"]
+    (folder / "results" / "frames.png").write_bytes(b"of another run")
+    assert shown() == []

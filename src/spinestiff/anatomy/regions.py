@@ -163,6 +163,12 @@ def element_heights(torso: TorsoModel) -> Floats:
     return np.asarray(corners[..., 1].mean(axis=1) - height)
 
 
+def is_beside_whole(name: str, parameters: Sequence[str]) -> bool:
+    """Whether a ratio is of a part whose whole has one among ``parameters``, too: then it is relative to that one."""
+    whole = name.partition(AT)[0]
+    return name != whole and whole in parameters
+
+
 def _parts(name: str) -> tuple[ParameterGroup, str]:
     """The group of all joints of a torso, and the part's name; "" without one. Raises TorsoError."""
     stem, at, part = name.partition(AT)

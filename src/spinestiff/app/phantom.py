@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from spinestiff.app import tables
-from spinestiff.study.phantom import analyse, phantom_lines, read_phantom, record_of
+from spinestiff.study.phantom import analyse, read_phantom
+from spinestiff.study.phantom_words import phantom_lines, record_of
 
 DISAGREES = 1
 

@@ -18,6 +18,7 @@ from spinestiff.cohort.row import Row, Stiffness, read_row
 from spinestiff.curves.corner_csv import FORMULA
 from spinestiff.errors import SubjectError
 from spinestiff.files import no_folder
+from spinestiff.study.wording import TIMES_DEFAULT, TIMES_WHOLE
 
 State = Literal["failed", "damaged", "not run", "out of date", "done"]
 STATES: tuple[State, ...] = ("failed", "damaged", "not run", "out of date", "done")
@@ -127,19 +128,24 @@ def strangers(target: Path, participants: Sequence[str]) -> tuple[str, ...]:
 
 def table(members: Sequence[Member]) -> tuple[list[str], list[list[str]]]:
     """Header and rows of ``cohort.csv``, texts as they are written."""
-    units: dict[str, str] = {}
-    for member in members:
-        if member.row is not None:
-            units |= {name: found.unit for name, found in member.row.stiffness.items()}
-    header = [
-        *PLAIN_COLUMNS,
-        *(f"{name}{_unit(units[name])}{part}" for name in sorted(units) for part in _OF_A_STIFFNESS),
-    ]
+    kinds = sorted({kind for member in members for kind in stiffness_kinds(member)})
+    header = [*PLAIN_COLUMNS, *(f"{name}{_unit(unit)}{part}" for name, unit in kinds for part in _OF_A_STIFFNESS)]
     rows = [_plain_cells(member) for member in members]
     for member, cells in zip(members, rows):
-        for name in sorted(units):
-            cells += _stiffness_cells(None if member.row is None else member.row.stiffness.get(name))
+        for name, unit in kinds:
+            cells += _stiffness_cells(stiffness_of(member, name, unit))
     return header, rows
+
+
+def stiffness_kinds(member: Member) -> list[tuple[str, str]]:
+    """What is told of a participant: names with units. A ratio in another unit is another one."""
+    return [] if member.row is None else [(name, found.unit) for name, found in member.row.stiffness.items()]
+
+
+def stiffness_of(member: Member, name: str, unit: str) -> Stiffness | None:
+    """A participant's stiffness; None also where it has one of that name in another unit."""
+    found = None if member.row is None else member.row.stiffness.get(name)
+    return found if found is not None and found.unit == unit else None
 
 
 def csv_text(members: Sequence[Member]) -> str:
@@ -172,7 +178,9 @@ def common_order(members: Sequence[Member]) -> Order | None:
 
 
 def _unit(unit: str) -> str:
-    return f"_{unit.replace(' ', '').replace('/', '_per_')}" if unit else ""
+    """The end of a column's name; none of a ratio to the default."""
+    known = {TIMES_DEFAULT: "", TIMES_WHOLE: "_of_whole"}
+    return known.get(unit, f"_{unit.replace(' ', '').replace('/', '_per_')}")
 
 
 def _plain_cells(member: Member) -> list[str]:

@@ -10,10 +10,11 @@ from importlib.resources import files
 from pathlib import Path
 
 from spinestiff import __version__
-from spinestiff.cohort.group import STATES, Member, common_order
+from spinestiff.cohort.group import STATES, Member, common_order, stiffness_of
 from spinestiff.cohort.row import Stiffness
+from spinestiff.cohort.statistics import ordered_kinds
 from spinestiff.study.report.viewer.page import page_environment, source_hash
-from spinestiff.study.wording import PLAIN, TIMES_DEFAULT, fixed, number
+from spinestiff.study.wording import TIMES_WHOLE, fixed, number
 
 STATE_WORDS = {state: "damaged results" if state == "damaged" else state for state in STATES}
 
@@ -56,15 +57,16 @@ class Section:
 
 def cohort_page(members: Sequence[Member], sections: Sequence[Section] = ()) -> str:
     """The page: a table of all, what failed first, and sections below it."""
-    names = _stiffness_names(members)
+    kinds = ordered_kinds(members)
     ordered = sorted(members, key=lambda member: (STATES.index(member.state), not _doubtful(member)))
-    lines = [_line(member, names) for member in ordered]
+    lines = [_line(member, kinds) for member in ordered]
     counts = Counter(member.state for member in members)
     script, style = _shipped("cohort.js"), _shipped("cohort.css")
     policy = (
         f"default-src 'none'; script-src {source_hash(script)}; style-src {source_hash(style)}; img-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
+    titles = [_title(*kind) for kind in kinds]
     order = common_order(members)
     settings = {} if order is None else {key: _setting(value) for key, value in order.settings.items()}
     page = {
@@ -77,40 +79,32 @@ def cohort_page(members: Sequence[Member], sections: Sequence[Section] = ()) -> 
         "states": [(state, STATE_WORDS[state], counts[state]) for state in STATES if counts[state]],
         "known": sorted({line.known for line in lines if line.known}),
         "doubtful": sum(map(_doubtful, members)),
-        "columns": ["age", "sex", "height, cm", "Cobb", "curve", *map(_title, names), "held out, mm", "checks"],
+        "columns": ["age", "sex", "height, cm", "Cobb", "curve", *titles, "held out, mm", "checks"],
         "lines": lines,
         "sections": sections,
     }
     return page_environment(Path(__file__).parent).get_template("cohort.html.j2").render(page)
 
 
-def _stiffness_names(members: Sequence[Member]) -> tuple[str, ...]:
-    """Stiffness in plain units first; ratios that these do not tell."""
-    rows = [member.row for member in members if member.row is not None]
-    there = {name for row in rows for name in row.stiffness}
-    plain = [name for name in PLAIN if name in there]
-    return (*plain, *sorted(there - PLAIN.keys()))
-
-
-def _title(name: str) -> str:
+def _title(name: str, unit: str) -> str:
     short = {
         "lateral_bending_thoracic": "bending, thoracic, N m/rad",
         "lateral_bending_lumbar": "bending, lumbar, N m/rad",
         "tissue_young": "tissue, kPa",
     }
-    return short.get(name) or f"{name.replace('_', ' ')}, {TIMES_DEFAULT.split()[0]} default"
+    return short.get(name) or f"{name.replace('_', ' ')}, times {'whole' if unit == TIMES_WHOLE else 'default'}"
 
 
 def _doubtful(member: Member) -> bool:
     return member.row is not None and member.row.status == "DOUBTFUL"
 
 
-def _line(member: Member, names: Sequence[str]) -> Line:
+def _line(member: Member, kinds: Sequence[tuple[str, str]]) -> Line:
     row = member.row
     said = member.words
     if row is None:
         empty = Cell("")
-        return Line(member, STATE_WORDS[member.state], "", True, said, (empty,) * (len(names) + 7))
+        return Line(member, STATE_WORDS[member.state], "", True, said, (empty,) * (len(kinds) + 7))
     known = "doubtful" if _doubtful(member) else row.determined
     held = row.held_out
     forecast = None if held is None else held.rmse_mm.get("forecast", held.rmse_mm.get("fit"))
@@ -122,7 +116,7 @@ def _line(member: Member, names: Sequence[str]) -> Line:
         Cell(fixed(row.height_cm, 0), repr(row.height_cm)),
         Cell(f"{fixed(row.cobb_deg, 0, sign=True)}°", repr(abs(row.cobb_deg))),
         Cell(row.curve),
-        *(_stiffness_cell(row.stiffness.get(name)) for name in names),
+        *(_stiffness_cell(stiffness_of(member, *kind)) for kind in kinds),
         Cell(shown, "" if forecast is None else repr(forecast)),
         Cell("; ".join(row.failed_checks), str(len(row.failed_checks))),
     )

@@ -31,7 +31,7 @@ def draw_statistics(found: Sequence[StiffnessStatistics], members: Sequence[Memb
         figure = Figure(figsize=(19.0, 4.4 * len(found) + 0.5), layout="constrained")
         grid = figure.subplots(len(found), 1 + len(_AXES), squeeze=False, width_ratios=[1.9, 1, 1, 1, 0.7, 1.1])
         for axes, one, title in zip(grid, found, titles):
-            rows = {row.participant: row for row, _ in counted_rows(one.name, members)[0]}
+            rows = {row.participant: row for row, _ in counted_rows(one.name, one.unit, members)[0]}
             limits = _limits(one)
             _people(axes[0], one, title)
             for axis, (key, name) in zip(axes[1:], _AXES):

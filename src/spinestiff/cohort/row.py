@@ -22,7 +22,7 @@ class Stiffness(CohortRecord):
 
     Attributes
     ----------
-    unit : "" of a ratio to the default, else "kPa" or "N m/rad".
+    unit : as people read it: "kPa", "N m/rad" or, of a ratio, what it is relative to (``study.wording.ratio_unit``).
     low, high : ends of the interval; None = none was found. open_low, open_high : the end is the fit's bound.
     sd_log : standard deviation of its log; None where the interval has no two closed ends, or the value is at a bound.
     visit_sd_log : of its log from visit to visit of one unchanged person; None = not known.
@@ -69,7 +69,7 @@ class Row(CohortRecord):
     report : file in the results that people read, or None.
     """
 
-    schema_version: Literal[1] = 1
+    schema_version: Literal[2] = 2
     participant: str
     id: str
     age: Positive

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.arrays import Floats
-from spinestiff.cohort.group import Member
+from spinestiff.cohort.group import Member, stiffness_kinds
 from spinestiff.cohort.hierarchy import Hierarchy, group_size, hierarchy
 from spinestiff.cohort.row import Row, Stiffness
 from spinestiff.errors import FitError
-from spinestiff.study.wording import PLAIN
+from spinestiff.study.wording import PLAIN, TIMES_DEFAULT, TIMES_WHOLE
 
 FEWEST = 5
 """People from which there are statistics of a stiffness."""
@@ -28,6 +28,7 @@ PEOPLE_A_COVARIATE = 5
 FACTORS = (1.25, 1.5, 2.0)
 """Differences for which the number of patients is told, unless one is asked for."""
 POWER, LEVEL = 0.8, 0.05
+_RELATIVE = {TIMES_DEFAULT: "relative to the default", TIMES_WHOLE: "relative to the whole"}
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class StiffnessStatistics:
 
     Attributes
     ----------
-    people : that count. left_out : participants that do not, with the reason.
+    unit : of values. people : that count. left_out : participants that do not, with the reason.
     mean, mean_low, mean_high : typical (geometric mean), with the 95 % interval.
     between_sd_log, between_low, between_high : standard deviation of people's logs about it, without estimation errors;
         between_high None where the estimates scatter less than their intervals say, so that it can't be told.
@@ -143,14 +144,20 @@ def cohort_statistics(members: Sequence[Member], difference: float | None = None
     ----------
     difference : factor for which the number of patients is told; None: ``FACTORS``.
     """
-    there = {name for member in members if member.row is not None for name in member.row.stiffness}
-    names = [*(name for name in PLAIN if name in there), *sorted(there - PLAIN.keys())]
     factors = FACTORS if difference is None else (difference,)
-    return tuple(found for name in names if (found := _of_stiffness(name, members, factors)) is not None)
+    found = (_of_stiffness(name, unit, members, factors) for name, unit in ordered_kinds(members))
+    return tuple(one for one in found if one is not None)
 
 
-def counted_rows(name: str, members: Sequence[Member]) -> tuple[list[tuple[Row, Stiffness]], dict[str, str]]:
-    """Rows that count for a stiffness, and why the others do not, by participant."""
+def ordered_kinds(members: Sequence[Member]) -> tuple[tuple[str, str], ...]:
+    """Names of stiffnesses with their units: those in plain units first, then ratios."""
+    there = {kind for member in members for kind in stiffness_kinds(member)}
+    plain = [(name, unit) for key in PLAIN for name, unit in sorted(there) if name == key]
+    return (*plain, *sorted(there - set(plain)))
+
+
+def counted_rows(name: str, unit: str, members: Sequence[Member]) -> tuple[list[tuple[Row, Stiffness]], dict[str, str]]:
+    """Rows that count for a stiffness in a unit, and why the others do not, by participant."""
     counted: list[tuple[Row, Stiffness]] = []
     people: set[str] = set()
     left_out: dict[str, str] = {}
@@ -166,6 +173,8 @@ def counted_rows(name: str, members: Sequence[Member]) -> tuple[list[tuple[Row, 
             left_out[member.participant] = f"with {row.population} as a prior"
         elif found is None:
             left_out[member.participant] = "not estimated"
+        elif found.unit != unit:
+            left_out[member.participant] = f"its ratio is {_RELATIVE[found.unit]} there"
         elif found.sd_log is None:
             left_out[member.participant] = "interval with an open end"
         elif row.id in people:
@@ -210,8 +219,10 @@ def design_of(columns: Sequence[Covariate], count: int) -> Floats:
     return np.column_stack([np.ones(count), *(np.array(one.values) for one in columns)])
 
 
-def _of_stiffness(name: str, members: Sequence[Member], factors: Sequence[float]) -> StiffnessStatistics | None:
-    counted, left_out = counted_rows(name, members)
+def _of_stiffness(
+    name: str, unit: str, members: Sequence[Member], factors: Sequence[float]
+) -> StiffnessStatistics | None:
+    counted, left_out = counted_rows(name, unit, members)
     if len(counted) < FEWEST:
         return None
     rows = [row for row, _ in counted]
@@ -230,7 +241,7 @@ def _of_stiffness(name: str, members: Sequence[Member], factors: Sequence[float]
     reach = people.reach([1.0])
     return StiffnessStatistics(
         name=name,
-        unit=counted[0][1].unit,
+        unit=unit,
         people=len(counted),
         left_out=left_out,
         mean=float(np.exp(mean)),

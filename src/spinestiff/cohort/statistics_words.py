@@ -9,7 +9,7 @@ from spinestiff.cohort.group import Member
 from spinestiff.cohort.page import Section
 from spinestiff.cohort.statistics import FEWEST, PEOPLE_A_COVARIATE, Effect, Needed, StiffnessStatistics
 from spinestiff.study.report.figures import as_png
-from spinestiff.study.wording import PLAIN, TIMES_DEFAULT, number
+from spinestiff.study.wording import PLAIN, number
 from spinestiff.words import counted
 
 SHOWN = 4
@@ -19,7 +19,7 @@ SHOWN = 4
 def title_of(found: StiffnessStatistics) -> str:
     """A stiffness with its unit."""
     name = PLAIN.get(found.name, f"ratio {found.name}")
-    return f"{name}, {found.unit or TIMES_DEFAULT}"
+    return f"{name}, {found.unit}"
 
 
 def statistics_lines(found: Sequence[StiffnessStatistics]) -> list[str]:
@@ -43,7 +43,7 @@ def statistics_sections(found: Sequence[StiffnessStatistics], members: Sequence[
         return [Section("Statistics", (f"{statistics_lines(found)[0].capitalize()}.",))]
     from spinestiff.cohort.picture import draw_statistics
 
-    shown = _unlike([one for one in found if one.unit] or found)[:SHOWN]
+    shown = _unlike([one for one in found if one.name in PLAIN] or found)[:SHOWN]
     picture = as_png(draw_statistics(shown, members, [_short(one) for one in shown]))
     words = (
         "Left: everybody by its own radiographs and given all others; shaded, where the mean (dark) and 95 % of people "

@@ -17,7 +17,7 @@ from spinestiff.observer import Observer
 from spinestiff.run_log import run_log
 from spinestiff.study.runner import STEPS, run_steps
 from spinestiff.study.visit import Settings, Visit, open_visit
-from spinestiff.study.wording import NO_INTERVALS, has_intervals
+from spinestiff.study.wording import NO_INTERVALS, has_intervals, ratio_unit
 from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import Quantity
@@ -73,7 +73,10 @@ def row_of(visit: Visit, participant: str) -> Row:
         cobb = reading.largest.angle.degrees
         kind = REGIONS[reading.largest.region][1] if abs(cobb) >= SMALLEST_COBB_DEG else "none"
     curve: CurveKind = kind  # type: ignore[assignment]
-    ratios = {name: _stiffness(ratio, "", estimate, name) for name, ratio in estimate.ratios.items()}
+    ratios = {
+        name: _stiffness(ratio, ratio_unit(name, tuple(estimate.ratios)), estimate, name)
+        for name, ratio in estimate.ratios.items()
+    }
     plain = {
         name: _stiffness(found, found.unit, estimate, found.ratio)
         for name, found in estimate.plain.items()

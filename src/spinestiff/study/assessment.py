@@ -16,9 +16,8 @@ from spinestiff.imaging.features import picture_axes, rmse, target_features
 from spinestiff.study.forecasts import forecast_change, forecast_record
 from spinestiff.study.predictions import Model, Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial, fit_from_coarse
-from spinestiff.subject.assessment_outcome import CobbChangeRecord, HeldOutFrame
+from spinestiff.subject.assessment_outcome import PREDICTORS, CobbChangeRecord, HeldOutFrame
 
-BASELINES = ("rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth")
 COBB_MODELS = ("default", "fit", "truth")
 # The single ratio is found to so much of its standard deviation: what is compared are tenths of a millimetre.
 SINGLE_SD = 0.1
@@ -46,7 +45,7 @@ def _held_out(predictions: Predictions, found: Prediction, forecast: Forecast | 
     torso, item = predictions.pushes.torso, found.item
     if "fit" not in found.solved:
         raise EquilibriumError(f"{item.trial.label}: no prediction by the estimate; see the messages of this step")
-    errors: dict[str, float | None] = dict.fromkeys(BASELINES)
+    errors: dict[str, float | None] = dict.fromkeys(PREDICTORS)
     errors |= {name: round(found.rmse(torso, name), 4) for name in found.solved}
     outside = extrapolated(predictions.pushes, item)
     if outside is not None:

@@ -127,9 +127,12 @@ def propose(pushes: Sequence[Sequence[FrameQuality]]) -> tuple[tuple[Proposal, .
     """
     levels = [_levels(frames) for frames in pushes]
     several = any(len(found) >= 2 for found in levels)
-    lone = None if several else next((i for i, found in enumerate(levels) if found), None)
+    usable = [i for i, found in enumerate(levels) if found]
+    lone = None if several or not usable else usable[0]
+    left = "none is left to check with" if len(usable) == 1 else "this one trains, another push's checks"
+    why = f"no push has frames under two forces; {left}"
     return tuple(
-        tuple(_of_push(frames, found, trains=several and len(found) >= 2, alone=i == lone))
+        tuple(_of_push(frames, found, several and len(found) >= 2, why if i == lone else ""))
         for i, (frames, found) in enumerate(zip(pushes, levels))
     )
 
@@ -171,12 +174,13 @@ def _unfit(frame: FrameQuality, largest: float) -> str:
 
 
 def _of_push(
-    frames: Sequence[FrameQuality], levels: Sequence[FrameQuality], trains: bool, alone: bool
+    frames: Sequence[FrameQuality], levels: Sequence[FrameQuality], trains: bool, alone: str
 ) -> list[Proposal]:
+    """``alone`` : why its only frame trains; "" where it does not."""
     largest = max(frame.force_n for frame in frames)
     roles: dict[int, tuple[Role, str]] = {}
     if alone and levels:
-        roles[levels[-1].frame] = ("training", "no push has frames under two forces; none is left to check with")
+        roles[levels[-1].frame] = ("training", alone)
     elif levels:
         roles[levels[-1].frame] = ("validation", "the largest force")
     if trains:

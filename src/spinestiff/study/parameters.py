@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fitted import FitEnd, StiffnessFit
 from spinestiff.observer import Observer
 from spinestiff.study.forecasts import forecast_frames
+from spinestiff.study.paper import TABLE_3
 from spinestiff.study.refits import Basis, basis_of, converged
 from spinestiff.study.trials import PushSet, PushTrial, fit_pushes
 from spinestiff.study.visit import Visit
@@ -21,15 +22,6 @@ from spinestiff.subject.outcome_parts import finite
 from spinestiff.subject.parameters_outcome import GradientRow, ModelScore, ParameterEffect, ParameterStudy
 from spinestiff.words import counted
 
-# Koutras et al. 2025, Table 3: gradients of the seven subjects.
-TABLE_3: Mapping[str, tuple[float, ...]] = {
-    "lateral_shear": (110.5, 85.8, 113.8, 143.4, 10.6, 60.3, 21.0),
-    "flexion_extension": (-4.8, -44.9, -4.0, -3.1, -1.8, 0.1, -4.4),
-    "axial_rotation": (66.0, 207.6, 114.8, 185.6, 10.4, 41.1, 14.9),
-    "intervertebral_bending": (1155.5, 447.4, 594.5, 795.2, 56.8, 468.1, 142.5),
-    "tissue_mu": (1821.1, 688.4, 695.3, 1485.1, 134.0, 598.1, 159.7),
-    "tissue_lambda": (342.9, -152.3, 25.7, 305.2, 4.6, 72.2, -8.9),
-}
 SIX = tuple(TABLE_3)
 PAPER_RATIOS = {"intervertebral_bending": 0.1, "tissue": 0.04}
 """Ratios of the paper's two, with lambda tied to mu, and where their fit starts."""

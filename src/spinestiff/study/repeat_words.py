@@ -50,7 +50,7 @@ def change_words(change: Change, of: Repeated = "visits") -> str:
     what = f"{change.subject}, {change.name}, {change.first} to {change.visit}"
     if not change.alike:
         what += " (not pushed alike)"
-    if change.verdict == "can't be told":
+    if change.verdict == "can't be told" or change.low is None or change.high is None:
         return f"{what}: can't be told; an estimate is doubtful, or its radiographs do not determine the ratio"
     ends = (change.factor, change.low, change.high)
     factor, low, high = ends if change.factor >= 1.0 else (1.0 / ends[0], 1.0 / ends[2], 1.0 / ends[1])

@@ -44,6 +44,8 @@ from spinestiff.subject.run_record import PARTS, input_digest, read_outcome, rec
 TWO_SIDED = float(norm.ppf(0.975))
 # Scatter that is as likely as this, or less, is not what the estimates' own errors let expect.
 UNLIKELY = 0.01
+# Of a change's reach to one side, in log, beyond which nothing is known of it: bounds of ratios are far nearer.
+MOST_LOG = 20.0
 # Of an interval's reach to one side, over what it is to first order.
 LEAST_REACH = 0.5
 # Repetitions of other people from which their scatter is believed.
@@ -155,8 +157,8 @@ class Change:
 
     Attributes
     ----------
-    factor : the one over the other. low, high : its 95 % interval.
-    detectable_factor : a change by less would not show. alike : whether both visits pushed alike.
+    factor : the one over the other. low, high : its 95 % interval; None where the radiographs say nothing of the ratio.
+    detectable_factor : a change by less would not show; None likewise. alike : whether both visits pushed alike.
     """
 
     subject: str
@@ -164,9 +166,9 @@ class Change:
     first: str
     visit: str
     factor: float
-    low: float
-    high: float
-    detectable_factor: float
+    low: float | None
+    high: float | None
+    detectable_factor: float | None
     alike: bool
     verdict: Verdict
 
@@ -408,5 +410,8 @@ def _change(name: str, first: VisitEstimate, later: VisitEstimate, wider: float)
     verdict: Verdict = "changed" if abs(log) > least else "no change shown"
     if not (before.known and after.known):
         verdict = "can't be told"
-    factor, low, high, detectable = (float(np.exp(value)) for value in (log, log - down, log + up, least))
-    return Change(first.subject, name, first.label, later.label, factor, low, high, detectable, alike, verdict)
+    whose, factor = (first.subject, name, first.label, later.label), float(np.exp(log))
+    if max(down, up) > MOST_LOG:
+        return Change(*whose, factor, None, None, None, alike, "can't be told")
+    low, high, detectable = (float(np.exp(value)) for value in (log - down, log + up, least))
+    return Change(*whose, factor, low, high, detectable, alike, verdict)

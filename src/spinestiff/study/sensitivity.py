@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from spinestiff.anatomy.regions import AT
+from spinestiff.anatomy.regions import AT, is_beside_whole
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, TISSUE_PARAMETERS
 from spinestiff.anatomy.torso import TorsoModel
@@ -48,11 +48,6 @@ PAPER_SERIES: Mapping[Series, tuple[str, ...]] = {
     "tied": (BENDING, "tissue"),
     "kept": (BENDING, "tissue_mu"),
     "everything": ("everything",),
-}
-# Koutras et al. 2025, Table 7: percent for 10 % of force, seven subjects.
-TABLE_7: Mapping[str, tuple[float, ...]] = {
-    BENDING: (10.4, 7.9, 18.8, 0.0, 0.0, 13.8, 2.4),
-    "tissue_mu": (25.0, 44.4, 14.7, 27.8, 18.2, 40.0, 30.0),
 }
 
 
@@ -262,7 +257,12 @@ def weighed_cases(basis: Basis) -> Iterator[Case]:
         yield case("mesh", "coarse", shaped=partial(torso_on, visit, "coarse"))
     for sign in SIGNS:
         factor = 1.0 + sign * MODULUS
-        scale = {name: factor for name in basis.names if name.partition(AT)[0] in TISSUE_PARAMETERS}
+        # A part beside its whole is relative to that, so the default does not touch its ratio.
+        scale = {
+            name: factor
+            for name in basis.names
+            if name.partition(AT)[0] in TISSUE_PARAMETERS and not is_beside_whole(name, basis.names)
+        }
         stiffer = partial(_with_modulus, torso, factor)
         yield case("default modulus", _percent(sign * MODULUS), shaped=stiffer, scale=scale)
     for sign in SIGNS:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from spinestiff.anatomy.regions import AT
-from spinestiff.study.sensitivity import BENDING, PAPER_SERIES, TABLE_7
+from spinestiff.study.paper import TABLE_7
+from spinestiff.study.sensitivity import BENDING, PAPER_SERIES
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.sensitivity_outcome import Change, Refit, Sensitivity, Series
 

@@ -10,7 +10,7 @@ import io
 from collections.abc import Iterable, Sequence
 
 from spinestiff.study.wording import known_word
-from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
+from spinestiff.subject.assessment_outcome import PREDICTORS, Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
 from spinestiff.subject.outcomes import Responses
@@ -23,9 +23,6 @@ ESTIMATE_COLUMNS = (
 RESPONSE_COLUMNS = (
     "push", "force_n", "quantity", "unit", "value", "low95", "high95", "upper_level", "lower_level", "rest_deg",
     "change_deg", "change_half_width95_deg", "missing",
-)  # fmt: skip
-PREDICTORS = (
-    "rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth",
 )  # fmt: skip
 SEEN = ("measured", "default", "fit", "forecast", "truth")
 """Whose change of the Cobb angle is told, as far as an assessment has it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-from spinestiff.anatomy.regions import AT
+from spinestiff.anatomy.regions import AT, is_beside_whole
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, FEWEST_CORNERS, LOWEST_QUALITY
 from spinestiff.subject.assessment_outcome import HeldOutFrame
 from spinestiff.subject.estimate_outcome import BudgetRecord, CombinationRecord, Estimate, PriorChangeRecord
@@ -150,20 +150,15 @@ RATIO_TITLES = {
     "everything": "All stiffnesses together",
 }
 """What ratios scale, in words."""
-_BENDING = ("lateral_bending", "intervertebral_bending", "everything")
+BENDING_RATIOS = ("lateral_bending", "intervertebral_bending", "everything")
+"""Ratios that scale a level's lateral bending as a whole."""
 IN_PLAIN_UNITS = {
-    "lateral_bending_thoracic": _BENDING,
-    "lateral_bending_lumbar": _BENDING,
+    "lateral_bending_thoracic": BENDING_RATIOS,
+    "lateral_bending_lumbar": BENDING_RATIOS,
     "tissue_young": ("tissue", "everything"),
 }
 """Ratios, of all or of a part of the torso, that scale these."""
 TIMES_DEFAULT, TIMES_WHOLE = "times the default stiffness", "times the ratio of the whole"
-
-
-def is_beside_whole(name: str, parameters: Sequence[str]) -> bool:
-    """Whether a ratio is of a part whose whole has one among ``parameters``, too: then it is relative to that one."""
-    whole = name.partition(AT)[0]
-    return name != whole and whole in parameters
 
 
 def ratio_unit(name: str, parameters: Sequence[str]) -> str:

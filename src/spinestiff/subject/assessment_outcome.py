@@ -8,6 +8,9 @@ from pydantic import Field
 
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 
+PREDICTORS = ("rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth")
+"""Whose errors an assessment tells: the estimate's, beside simpler ones."""
+
 
 class CobbChangeRecord(Outcome):
     """Change of the Cobb angle from the push's least force (``curves.tilts.CobbChange``), degrees.
@@ -53,7 +56,7 @@ class HeldOutFrame(Outcome):
 
     Attributes
     ----------
-    rmse_mm : by predictor, corner RMSE at the patient plane; None where it makes no prediction.
+    rmse_mm : by predictor (``PREDICTORS``), corner RMSE at the patient plane; None where it makes no prediction.
     cobb_change_deg : "measured" and by predictor, "forecast" among them where there is one.
     forecast : with its intervals; None by the paper's estimator.
     """

@@ -35,6 +35,7 @@ ABOVE = (
 """Rooms from which no result comes: imports point away from them."""
 TOLD = (
     "study/parameter_words.py",
+    "study/phantom_words.py",
     "study/planning/words.py",
     "study/report",
     "study/sensitivity_words.py",

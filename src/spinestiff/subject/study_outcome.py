@@ -15,7 +15,7 @@ class FrameOutcome(Outcome):
     Attributes
     ----------
     push : id. told_n, true_n : force as told and as it was.
-    rmse_mm : by predictor (``study.assessment.BASELINES``), of places; None: no prediction.
+    rmse_mm : by predictor (``assessment_outcome.PREDICTORS``), of places; None: no prediction.
     motion_mm : the same of what moved since the unloaded frame, by predictor.
     cobb_deg : "measured" and by model.
     inside95 : share of corner coordinates inside the forecast's 95 % intervals.

@@ -144,20 +144,30 @@ def _fixed(values: Any, where: str = "") -> dict[str, Any]:
 
 def _scan_file(values: dict[str, Any]) -> Any:
     scan = values.get(SCAN)
-    return scan.get("file") if isinstance(scan, dict) else None
+    return _file_of(scan)
+
+
+def _file_of(record: Any) -> Any:
+    return record.get("file") if isinstance(record, dict) else None
+
+
+def _records(values: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    """Those of a list, of a file that may be wrong."""
+    found = values.get(key)
+    return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
 
 
 def _check_beside(folder: Path, before: dict[str, Any], values: dict[str, Any]) -> None:
     """Raise SubjectError where views or markers name other files than they did, or than lie where they belong, and
-    where a view is taken out that is annotated. Both records are ones that the schema allows.
+    where a view is taken out that is annotated. ``values`` are ones that the schema allows, of the same pushes.
     """
-    for old, new in zip(before["pushes"], values["pushes"]):
-        named = {(view["id"], view["files"]) for view in old.get("views") or ()}
+    for old, new in zip(_records(before, "pushes"), _records(values, "pushes")):
+        named = [(view.get("id"), view.get("files")) for view in _records(old, "views")]
         for view in new.get("views") or ():
             usual = side_places(new["id"], view["id"])
             if (view["id"], view["files"]) not in named and not _lies_in(folder, view["files"], usual):
                 raise SubjectError(NAMES_STAY)
-        file, last = ((push.get("markers") or {}).get("file") for push in (new, old))
+        file, last = (_file_of(push.get("markers")) for push in (new, old))
         if file not in (None, last) and not _lies_in(folder, file, (markers_place(new["id"]),)):
             raise SubjectError(NAMES_STAY)
     lost = _views(before) - _views(values)
@@ -171,12 +181,12 @@ def _lies_in(folder: Path, place: str, allowed: tuple[str, ...]) -> bool:
 
 
 def _views(values: dict[str, Any]) -> set[str]:
-    """Names in the annotation of all radiographs from other sides."""
+    """Names in the annotation of all radiographs from other sides, of a file that may be wrong."""
     return {
-        f"push/{push['id']}/{frame}/{view['id']}"
-        for push in values["pushes"]
-        for view in push.get("views") or ()
-        for frame in view["frames"]
+        f"push/{push.get('id')}/{frame}/{view.get('id')}"
+        for push in _records(values, "pushes")
+        for view in _records(push, "views")
+        for frame in (view["frames"] if isinstance(view.get("frames"), list) else ())
     }
 
 

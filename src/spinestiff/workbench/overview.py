@@ -22,9 +22,9 @@ def overview_csv(cards: Sequence[dict[str, Any]]) -> str:
     ``..._open`` names ends of an interval that the radiographs do not close: "low", "high" or both.
     """
     results = [card.get("result") or {} for card in cards]
-    told = [{one["name"]: one for one in result.get("stiffness", ())} for result in results]
-    units = {name: one["unit"] for found in told for name, one in found.items()}
-    names = [f"{name}_{_unit(unit)}" if unit else name for name, unit in units.items()]
+    told = [{(one["name"], one["unit"]): one for one in result.get("stiffness", ())} for result in results]
+    kinds = list(dict.fromkeys(kind for found in told for kind in found))
+    names = [f"{name}_{_unit(unit)}" for name, unit in kinds]
     written = io.StringIO()
     table = csv.writer(written, lineterminator="\n")
     table.writerow([*COLUMNS, *(f"{name}{end}" for name in names for end in ENDS), *(f"cobb_{name}" for name in COBB)])
@@ -33,14 +33,15 @@ def overview_csv(cards: Sequence[dict[str, Any]]) -> str:
             card["name"], card.get("id"), card["stage_words"], "; ".join(card.get("stale") or ()), card.get("sex"),
             card.get("age"), card.get("height_cm"), card.get("pushes"), result.get("badge"),
         ]  # fmt: skip
-        cells = [cell for name in units for cell in _stiffness(found.get(name))]
+        cells = [cell for kind in kinds for cell in _stiffness(found.get(kind))]
         cobb = result.get("cobb") or {}
         table.writerow([_cell(one) for one in [*plain, *cells, *(cobb.get(name) for name in COBB)]])
     return written.getvalue()
 
 
 def _unit(unit: str) -> str:
-    return "ratio" if unit in (TIMES_DEFAULT, TIMES_WHOLE) else unit.replace(" ", "").replace("/", "_per_")
+    known = {TIMES_DEFAULT: "ratio", TIMES_WHOLE: "ratio_of_whole"}
+    return known.get(unit) or unit.replace(" ", "").replace("/", "_per_")
 
 
 def _stiffness(one: dict[str, Any] | None) -> list[Any]:

@@ -16,7 +16,7 @@ from spinestiff.study.planning.words import plan_lines
 from spinestiff.subject.folder import Subject, read_annotation, read_unannotated
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS
-from spinestiff.subject.run_record import changed_inputs, read_outcome, recorded_steps
+from spinestiff.subject.run_record import changed_inputs, is_unchanged, read_outcome, recorded_steps
 from spinestiff.words import sentence
 from spinestiff.workbench.cards import in_words, result, stale
 
@@ -26,11 +26,11 @@ PAGES = {
     "protocol.html": "Sheet for the next push",
 }
 PICTURES = {
-    "plan.png": "The next push",
-    "sensitivity.png": "If something had been otherwise",
-    "parameters.png": "Which parameters at all",
-    "frames.png": "Quality of the frames",
+    "plan.png": ("plan", "The next push"),
+    "sensitivity.png": ("sensitivity", "If something had been otherwise"),
+    "frames.png": ("frames", "Quality of the frames"),
 }
+"""Each with the step that draws it."""
 TYPES = {".html": "text/html; charset=utf-8", ".png": "image/png"}
 LARGEST = 200 * 2**20
 TICKET_S, MOST_TICKETS = 12 * 3600.0, 500
@@ -53,23 +53,44 @@ def result_file(folder: Path, name: str) -> Path:
 
 
 def results_record(folder: Path) -> dict[str, Any]:
-    """What a subject's results are, as JSON."""
+    """What a subject's results are, as JSON; without pictures of what has changed since."""
     subject = read_unannotated(folder)
-    there = {}
-    for name, title in {**PAGES, **PICTURES}.items():
-        try:
-            result_file(folder, name)
-        except SpinestiffError:
-            continue
-        there[name] = title
+    pictures = [
+        {"name": name, "title": title}
+        for name, (step, title) in PICTURES.items()
+        if _is_there(folder, name) and _is_current(subject, step)
+    ]
     return {
-        "pages": [{"name": name, "title": there[name]} for name in PAGES if name in there],
-        "pictures": [{"name": name, "title": there[name]} for name in PICTURES if name in there],
+        "pages": [{"name": name, "title": title} for name, title in PAGES.items() if _is_there(folder, name)],
+        "pictures": pictures,
         "result": result(subject),
         "plan": _plan(subject),
         "plan_stale": _plan_stale(subject),
         "stale": _stale(subject),
     }
+
+
+def _is_there(folder: Path, name: str) -> bool:
+    try:
+        result_file(folder, name)
+    except SpinestiffError:
+        return False
+    return True
+
+
+def _is_current(subject: Subject, step: str) -> bool:
+    """Whether a step's results are of what is there now."""
+    try:
+        return is_unchanged(_as_annotated(subject), step)
+    except SpinestiffError:
+        return False
+
+
+def _as_annotated(subject: Subject) -> Subject:
+    """With the annotation as it is now, where it can be read."""
+    with suppress(SpinestiffError):
+        return replace(subject, annotation=read_annotation(subject.folder / ANNOTATION_FILE))
+    return subject
 
 
 def _plan(subject: Subject) -> list[str]:
@@ -85,10 +106,8 @@ def _plan_stale(subject: Subject) -> list[str]:
     """What has changed since the plan was made, in words: the estimate, or what it came from."""
     if Plan.STEP not in recorded_steps(subject):
         return []
-    with suppress(SpinestiffError):
-        subject = replace(subject, annotation=read_annotation(subject.folder / ANNOTATION_FILE))
     try:
-        names = changed_inputs(subject, Plan.STEP)
+        names = changed_inputs(_as_annotated(subject), Plan.STEP)
     except SpinestiffError as error:
         return [" ".join(str(error).replace(f"{subject.folder}/", "").split())]
     words = ["the estimate" if name.startswith(f"{RESULTS}/") else in_words(name) for name in names]

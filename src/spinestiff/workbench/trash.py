@@ -11,7 +11,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,8 @@ class Trash:
                 place.mkdir(parents=True)
                 folder.rename(place / folder.name)
             except OSError as problem:
+                with suppress(OSError):
+                    place.rmdir()
                 raise SubjectError(f"the subject can't be removed ({trouble(problem)})") from None
             return key
 

@@ -88,8 +88,10 @@ class Uploads:
                 raise SubjectError(
                     f"{total / 2**30:.1f} GB; at most {self.most_bytes / 2**30:g} GB in one upload (--upload-limit)"
                 )
-            if room_bytes(self.folder) < total:
-                raise SubjectError(f"there is no room on the disk for {total / 2**20:.0f} MB")
+            come = sum(self._come(name, number) for number in range(len(self._list(name))))
+            wanted = total - come
+            if room_bytes(self.folder) < wanted:
+                raise SubjectError(f"there is no room on the disk for {wanted / 2**20:.0f} MB")
             self._put(name, listed)
             return [{**one, "come": self._come(name, number)} for number, one in enumerate(listed)]
 

@@ -20,7 +20,7 @@ def visits_record(first: Path, second: Path) -> dict[str, Any]:
     """Scatter and changes of two visits, the earlier one first, as JSON.
 
     ``same``: whether both are of one person, by ``id``, and two folders; without it nothing else is told.
-    ``problem``: why nothing can be told of them; "" where it can.
+    ``problem``: why nothing can be told of them; "" where it can. A change without an interval is in ``lines`` alone.
     """
     folders = (first, second)
     one, other = (read_unannotated(folder).record.id for folder in folders)
@@ -33,7 +33,8 @@ def visits_record(first: Path, second: Path) -> dict[str, Any]:
     except SpinestiffError as error:
         return {**told, "problem": _without(str(error), folders)}
     record = asdict(found)
-    changes = [{**one, "title": ratio_title(one["name"])} for one in record["changes"]]
+    known = [one for one in record["changes"] if one["detectable_factor"] is not None]
+    changes = [{**one, "title": ratio_title(one["name"])} for one in known]
     return {**told, "lines": repeatability_lines(found), "scatter": record["scatter"], "changes": changes}
 
 

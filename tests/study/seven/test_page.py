@@ -105,6 +105,15 @@ def test_intervals_count_the_truths_that_they_hold():
     assert "- Bending: the truth lies in 1 of 1" in text
 
 
+def test_a_subject_without_an_interval_is_no_interval_that_holds_the_truth():
+    without = outcome(2)
+    ratio = without.ratios["tissue"].model_copy(update={"low": None, "high": None})
+    without = without.model_copy(update={"ratios": {**without.ratios, "tissue": ratio}})
+    text = section(page([outcome(1), without, *[None] * 5]), "Intervals")
+    assert "- Tissue: the truth lies in 1 of 1 95 % intervals, 1 more have none; the estimate is off by" in text
+    assert "- Bending: the truth lies in 2 of 2 95 % intervals; the estimate" in text
+
+
 def test_the_forward_test_is_that_of_the_papers_changes():
     text = page([outcome(1, change_deg=-20.0), outcome(2, change_deg=-7.0), *[None] * 5])
     # The paper's: -19 and +13 degrees.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spinestiff.study.seven.paper import SUBJECTS
+from spinestiff.study.paper import SUBJECTS
 from spinestiff.study.seven.participants import (
     AGE,
     BENDING,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from spinestiff.study.seven.paper import SUBJECTS
+from spinestiff.study.paper import SUBJECTS
 from spinestiff.study.seven.tables import paper_tables
 from study_outcomes import outcome
 

@@ -21,7 +21,7 @@ from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.figures import FIT, MEASURED, STYLE
 from spinestiff.study.report.frame_content import MODELS
 from spinestiff.study.report.overlay import NO_POINTS, Overlay, Panel, draw_overlay
-from spinestiff.study.report.placing import pixel_mm, pixels_of, sides_of
+from spinestiff.study.report.placing import pixel_mm, pixels_of, sides_of, view_of
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed
 from spinestiff.subject.folder import read_view
@@ -61,15 +61,10 @@ def _sights(predictions: Predictions, frame: Prediction) -> list[Sight]:
 def _what(frame: Prediction, sight: Sight) -> str:
     if isinstance(sight, MarkerTarget):
         return f"{counted(len(sight.rows), 'skin marker')}, their motion"
-    where = "the frontal radiograph" if sight.trial.push == frame.item.push else f"view “{_view_of(sight.trial.push)}”"
+    where = "the frontal radiograph" if sight.trial.push == frame.item.push else f"view “{view_of(sight.trial.push)}”"
     if isinstance(sight, Target):
         return f"corners of {counted(len(sight.rows), 'vertebra', 'vertebrae')}, {where}"
     return f"{counted(len(sight.rows), 'pedicle')}, {where}"
-
-
-def _view_of(sequence: str) -> str:
-    """The id of a view; a sequence is named by its push and its view, which has no spaces."""
-    return sequence.rpartition(" ")[2]
 
 
 def _error(predictions: Predictions, frame: Prediction, sight: Sight, model: str) -> float | None:
@@ -226,7 +221,7 @@ def _view_pictures(predictions: Predictions, pixels: PixelsOf) -> list[tuple[str
     for sequence, sights in seen.items():
         for frame, sight in _worth_showing(sights):
             view, item = sight.trial.view, frame.item
-            shown = pixels(item.push, item.frame, _view_of(sequence))
+            shown = pixels(item.push, item.frame, view_of(sequence))
             pedicles = pedicles_in(predictions, frame, sequence)
             panels = tuple(
                 Panel(
@@ -246,14 +241,14 @@ def _view_pictures(predictions: Predictions, pixels: PixelsOf) -> list[tuple[str
                 sides_of(view),
                 pedicles=pixels_of(view, pedicles.measured),
             )
-            where = f"view “{_view_of(sequence)}” of push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N"
+            where = f"view “{view_of(sequence)}” of push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N"
             errors = ", ".join(f"{panel.title.lower()} {fixed(panel.rmse_mm)} mm" for panel in panels)
             alt = f"Radiograph, {where}, with measured and simulated vertebra boxes. RMSE: {errors}.{pedicles.words()}"
             caption = (
                 f"{where[0].upper()}{where[1:]}, {ROLES[item.role]}: vertebrae as measured (blue) and simulated "
                 "(orange)."
             )
-            name = f"view-{_view_of(sequence)}-{item.push}-frame-{item.frame}"
+            name = f"view-{view_of(sequence)}-{item.push}-frame-{item.frame}"
             found.append((name, draw_overlay(overlay), alt, caption))
     return found
 

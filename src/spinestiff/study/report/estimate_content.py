@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from spinestiff.anatomy.regions import AT
+from spinestiff.anatomy.regions import AT, is_beside_whole
 from spinestiff.arrays import Floats
 from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
@@ -23,6 +23,7 @@ from spinestiff.study.sensitivity_words import (
 from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
+    BENDING_RATIOS,
     MISSING,
     UNMEASURABLE,
     badge,
@@ -34,7 +35,6 @@ from spinestiff.study.wording import (
     has_intervals,
     held_lines,
     interval,
-    is_beside_whole,
     most_costly,
     moved_sd,
     number,
@@ -56,8 +56,6 @@ BENDING_BAND = (1.3, 1.8)
 # Range of the ratio in the seven subjects of the method's first study. Its tissue ratios are left out: they belong to
 # another default tissue. "lateral_bending" takes the sternal joints along and is another ratio.
 PUBLISHED = {"intervertebral_bending": (0.01, 0.63)}
-# Ratios that scale a level's lateral bending as a whole.
-BENDING = ("lateral_bending", "intervertebral_bending", "everything")
 PLAIN_TITLES = {
     "lateral_bending_thoracic": "per thoracic level",
     "lateral_bending_lumbar": "per lumbar level",
@@ -181,7 +179,7 @@ def _strip(name: str, ratio: RatioEstimate, bounds: Sequence[float], truth: floa
 def bending_line(estimate: Estimate) -> dict[str, Any] | None:
     """The bending stiffness of a level beside cadaver segments."""
     found = estimate.plain["lateral_bending_thoracic"]
-    if not _of_several(found) and (found.ratio or "").partition(AT)[0] not in BENDING:
+    if not _of_several(found) and (found.ratio or "").partition(AT)[0] not in BENDING_RATIOS:
         return None
     low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
     value, told = found.value, estimated(found)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from spinestiff.anatomy.regions import is_beside_whole
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.changes import NORMAL_95
@@ -44,7 +45,7 @@ from spinestiff.study.report.tornado_picture import draw_tornado
 from spinestiff.study.sensitivity_words import largest, tornado_rows
 from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import is_beside_whole, listed, number, ratio_title, within_a_sentence
+from spinestiff.study.wording import listed, number, ratio_title, within_a_sentence
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import image_corners, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord

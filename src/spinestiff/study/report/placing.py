@@ -37,3 +37,8 @@ def push_arrow(torso: TorsoModel, view: XRayView, push: PushRecord, item: PushTr
     place = share @ load.points.positions(torso.rest_pose)
     there, onward = view.pixels(view.project(np.stack([place, place + [10.0 * push.sign, 0.0, 0.0]])))
     return float(there[1]), float(np.sign(onward[0] - there[0])), f"{item.force_n:.0f} N"
+
+
+def view_of(sequence: str) -> str:
+    """The id of a further view; its sequence is named by its push and that, which has no spaces."""
+    return sequence.rpartition(" ")[2]

@@ -36,10 +36,10 @@ def draw_repeatability(found: Repeatability) -> Figure:
         for axis, name in zip(axes, names):
             for place, visit in zip(places, visits):
                 ratio = visit.ratios[name]
-                down, up = (np.exp(TWO_SIDED * ratio.sd_on(upper)) for upper in (False, True))
                 moved = (name, visit.label) in changed
                 colour = FIT if moved else MEASURED
                 if ratio.known:
+                    down, up = (np.exp(TWO_SIDED * ratio.sd_on(upper)) for upper in (False, True))
                     axis.plot([place, place], [ratio.value / down, ratio.value * up], color=colour, lw=1.6)
                 face = colour if ratio.known else "none"
                 axis.plot(place, ratio.value, color=colour, marker="s" if moved else "o", mfc=face, ms=6)

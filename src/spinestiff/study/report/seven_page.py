@@ -21,11 +21,11 @@ from spinestiff.imaging.synthetic.path_length import path_length
 from spinestiff.imaging.synthetic.rendering import coarser
 from spinestiff.observer import Observer
 from spinestiff.personalise.pose import align_view
+from spinestiff.study.paper import SUBJECTS
 from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.figures import as_png
 from spinestiff.study.report.seven_pictures import Shot, draw_models, draw_sequence
 from spinestiff.study.seven.page import Picture, Pictures, page_text
-from spinestiff.study.seven.paper import SUBJECTS
 from spinestiff.study.seven.participants import MAIN, STEPS
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import Settings, Visit, open_visit

@@ -26,8 +26,6 @@ DARK = {
     "#1d6b3c": "#7fd6a0",
 }
 """Colours of figures on paper, and what takes their place in the dark."""
-ON_RADIOGRAPH = ("#fefefe", "#56c1ff", "#ffa530")
-"""Colours of what lies over a radiograph, which is dark in either theme."""
 _COLOUR = re.compile(r"(fill|stroke): (#[0-9a-f]{6})")
 _DROPPED = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>|<style.*?</style>", re.DOTALL)
 
@@ -40,11 +38,6 @@ def variable(colour: str) -> str:
 def dark_style() -> str:
     """Declarations that make figures dark."""
     return " ".join(f"{variable(light)}: {dark};" for light, dark in DARK.items())
-
-
-def colours_of(svg: str) -> set[str]:
-    """The colours "#rrggbb" that a figure is drawn in."""
-    return {found[1] for found in _COLOUR.findall(svg)}
 
 
 def for_page(svg: bytes, name: str) -> str:

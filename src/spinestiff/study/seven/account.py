@@ -5,8 +5,8 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 
+from spinestiff.study.paper import SUBJECTS
 from spinestiff.study.seven.goals import Goal
-from spinestiff.study.seven.paper import SUBJECTS
 from spinestiff.study.wording import fixed, listed
 from spinestiff.subject.study_outcome import SubjectOutcome
 from spinestiff.words import counted

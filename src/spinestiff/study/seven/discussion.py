@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from scipy.stats import spearmanr
 
+from spinestiff.study.paper import SUBJECTS
 from spinestiff.study.seven.goals import (
     PUSHES,
     RMSE_MM,
@@ -21,7 +22,6 @@ from spinestiff.study.seven.goals import (
     motions,
     places,
 )
-from spinestiff.study.seven.paper import SUBJECTS
 from spinestiff.study.seven.participants import MAIN, OTHER_LEVEL, OTHER_SIDE, TISSUE_SCALE
 from spinestiff.study.seven.tables import NOTHING, OURS, PAPER, RATIOS, PaperTable
 from spinestiff.study.wording import fixed

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom
 
+from spinestiff.study.paper import SUBJECTS
 from spinestiff.study.seven.account import TIMED, cost_rows, cost_words, found_by, time_goal
 from spinestiff.study.seven.discussion import differing, points_of_conclusions, points_of_results
 from spinestiff.study.seven.goals import (
@@ -22,7 +23,6 @@ from spinestiff.study.seven.goals import (
     motions,
     places,
 )
-from spinestiff.study.seven.paper import SUBJECTS
 from spinestiff.study.seven.participants import (
     COUNT_OTHERS,
     FORCE_N,
@@ -34,6 +34,7 @@ from spinestiff.study.seven.participants import (
 )
 from spinestiff.study.seven.tables import NOTHING, PaperTable, paper_tables
 from spinestiff.study.wording import fixed, listed
+from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.study_outcome import SubjectOutcome
 from spinestiff.words import counted
 
@@ -338,16 +339,13 @@ def _one(values: Sequence[float], digits: int) -> str:
 def _intervals(outcomes: Sequence[SubjectOutcome]) -> str:
     lines = []
     for name, words in (("lateral_bending", "Bending"), ("tissue", "Tissue")):
-        held = 0
-        for one in outcomes:
-            ratio, truth = one.ratios[name], one.truth[name]
-            above = ratio.open_low or ratio.low is None or ratio.low <= truth
-            below = ratio.open_high or ratio.high is None or truth <= ratio.high
-            held += above and below
+        held = [found for one in outcomes if (found := _held(one.ratios[name], one.truth[name])) is not None]
+        without = len(outcomes) - len(held)
         errors = [abs(np.log(one.ratios[name].value / one.truth[name])) for one in outcomes]
         lines.append(
-            f"- {words}: the truth lies in {held} of {len(outcomes)} 95 % intervals"
-            f"{_by_chance(held, len(outcomes))}; the estimate is off by a factor of "
+            f"- {words}: the truth lies in {sum(held)} of {len(held)} 95 % intervals"
+            + (f", {without} more have none" if without else "")
+            + f"{_by_chance(sum(held), len(held))}; the estimate is off by a factor of "
             f"{fixed(float(np.exp(np.median(errors))), 2)} in the median, {fixed(float(np.exp(max(errors))), 2)} "
             "at worst."
         )
@@ -364,6 +362,14 @@ def _intervals(outcomes: Sequence[SubjectOutcome]) -> str:
         "single vertebrae are there to find a geometry that is off by millimetres."
     )
     return "\n".join(lines)
+
+
+def _held(ratio: Quantity, truth: float) -> bool | None:
+    """Whether an interval holds the truth; None without one."""
+    if (ratio.low is None and not ratio.open_low) or (ratio.high is None and not ratio.open_high):
+        return None
+    above = ratio.open_low or ratio.low is None or ratio.low <= truth
+    return above and (ratio.open_high or ratio.high is None or truth <= ratio.high)
 
 
 def _by_chance(held: int, count: int) -> str:

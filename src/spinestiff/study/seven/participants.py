@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA
+from spinestiff.study.paper import CURVES, SUBJECTS, PaperSubject, Sex
 from spinestiff.study.recipe import Recipe, SyntheticPush
-from spinestiff.study.seven.paper import CURVES, SUBJECTS, PaperSubject, Sex
 from spinestiff.study.stiffening import LOW, THETA_DEG, Stiffening
 from spinestiff.subject.records import Role
 

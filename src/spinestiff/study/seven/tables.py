@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spinestiff.study.parameters import TABLE_3
-from spinestiff.study.seven.paper import SUBJECTS, TABLE_5, TABLE_6, TABLE_7
+from spinestiff.study.paper import SUBJECTS, TABLE_3, TABLE_5, TABLE_6, TABLE_7
 from spinestiff.study.seven.participants import MAIN, TABLES_MESH, TISSUE_SCALE
 from spinestiff.study.wording import fixed, interval
 from spinestiff.subject.estimate_outcome import RatioEstimate
@@ -25,7 +24,11 @@ GRADIENTS = {
     "tissue_lambda": "Lamé parameter λ",
 }
 RATIOS = {"lateral_bending": "Intervertebral lateral bending k_v,γ", "tissue": "Lamé parameter μ"}
-SENSITIVITY = {"lateral_bending": "Intervertebral lateral bending", "tissue": "Lamé parameter μ"}
+SENSITIVITY = {
+    "lateral_bending": ("intervertebral_bending", "Intervertebral lateral bending"),
+    "tissue": ("tissue_mu", "Lamé parameter μ"),
+}
+"""Our ratios, each with the paper's, by its name here and as printed."""
 Values = Sequence[float | None]
 
 
@@ -220,9 +223,9 @@ def table_6(outcomes: Seven) -> PaperTable:
 def table_7(outcomes: Seven) -> PaperTable:
     """Sensitivity to the force."""
     lines = []
-    for name, label in SENSITIVITY.items():
+    for name, (theirs, label) in SENSITIVITY.items():
         ours = _line(label, OURS, _of(outcomes, lambda one, name=name: one.force_percent.get(name)), 1)  # type: ignore[misc]
-        lines += [_beside(label, TABLE_7[label], ours, 1), ours]
+        lines += [_beside(label, TABLE_7[theirs], ours, 1), ours]
     title = f"Change of the ratios, %, for 10 % of force (ours on the {TABLES_MESH} mesh)"
     return PaperTable(7, title, _columns(), tuple(lines))
 

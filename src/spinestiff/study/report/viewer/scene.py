@@ -20,6 +20,7 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.study.predictions import REST, Prediction, Predictions, Solved
+from spinestiff.study.report.placing import view_of
 from spinestiff.study.trials import PushSet, PushTrial
 
 MODELS = ("fit", "default")
@@ -190,7 +191,7 @@ def visit_scene(title: str, predictions: Predictions, levels: Mapping[str, tuple
         unit = load.scaled(1.0 / load.push.size) if load.size else load
         side, level = levels[push]
         models = {name: tuple(found) for name, found in steps.items() if len(found) > 1}
-        further = {_view_id(one.sequence): one.view for trial in trials for one in trial.trial.further}
+        further = {view_of(one.sequence): one.view for trial in trials for one in trial.trial.further}
         scenes.append(
             PushScene(push, side, level, trials[0].trial.view, unit, supports, tuple(frames), models, further)
         )
@@ -236,11 +237,6 @@ def _step(pushes: PushSet, prediction: Prediction, name: str, supports: Sequence
     return Step(item.force_n, item.frame, solved.state, names, boxes, solved.reactions, beside)
 
 
-def _view_id(sequence: str) -> str:
-    """A further view's sequence is named by its push and the view's id, which has no spaces."""
-    return sequence.rpartition(" ")[2]
-
-
 def _beside(pushes: PushSet, prediction: Prediction, places: Callable[[Sight], Floats]) -> Beside:
     """What a frame shows beside its frontal corners.
 
@@ -260,7 +256,7 @@ def _beside(pushes: PushSet, prediction: Prediction, places: Callable[[Sight], F
         else:
             boxes[sight.sequence] = target.trial.corners.vertebrae, found
     outlines = {
-        _view_id(sequence): Outlines(names, quads, pedicles.get(sequence, {}))
+        view_of(sequence): Outlines(names, quads, pedicles.get(sequence, {}))
         for sequence, (names, quads) in boxes.items()
     }
     return Beside(pedicles.get(prediction.target.trial.push, {}), outlines, markers)
