@@ -337,6 +337,10 @@ def test_a_trial_whether_a_folder_can_be_written_leaves_nothing(tmp_path, monkey
         check_writable(folder, "results")
         assert [path.name for path in tmp_path.rglob("*")] == ["there"]
 
+    with pytest.raises(SubjectError, match="File name too long"):
+        check_writable(tmp_path / "a" / "b" / ("x" * 300), "results")
+    assert [path.name for path in tmp_path.rglob("*")] == ["there"]
+
     def fail(*_, **__):
         raise OSError(errno.ENOSPC, "full")
 

@@ -142,8 +142,8 @@ def check_writable(folder: Path, what: str) -> None:
             f"{folder}: can't be written ({trouble(problem)}), but {what} go there; make it writable, or work on a copy"
         ) from None
     finally:
-        with suppress(OSError):
-            for one in new:
+        for one in new:
+            with suppress(OSError):
                 one.rmdir()
 
 

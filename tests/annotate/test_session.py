@@ -594,7 +594,7 @@ def test_no_unit_is_told_by_a_pixel_that_nobody_gave(unannotated):
     # By 0.15 mm a pixel these would be pixels, or millimetres.
     for per_pixel in (5.0, 1.0):
         with pytest.raises(
-            SubjectError, match=r"how many mm a pixel has is not known .* or add 'spinestiffUnit': 'pixel'"
+            SubjectError, match=r"the radiograph not how many mm a pixel has; .* or add 'spinestiffUnit': 'pixel'"
         ):
             imported(session, "a.mrk.json", slicers(per_pixel, "T5", "T6"), "rest/frontal")
     stated = slicers(1.0, "T5", "T6").replace('"type"', '"spinestiffUnit": "pixel", "type"')

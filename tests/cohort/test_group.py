@@ -90,10 +90,18 @@ def test_a_row_that_cannot_be_read_is_out_of_date_and_stops_nobody(made):
     marker = json.loads((results / "done.json").read_text(encoding="utf-8"))
     marker["outputs"]["row.json"] = digests_of({"row.json": results / "row.json"})["row.json"]
     (results / "done.json").write_text(json.dumps(marker), encoding="utf-8")
-    first, second = read_members(cohort.source, cohort.target, cohort.participants)
+    first, second = read_members(cohort.source, cohort.target, cohort.participants, cohort.order)
     assert (first.state, first.row, second.state) == ("out of date", None, "done")
     assert first.words.startswith(f"{results / 'row.json'}: age: ")
     assert first.words.endswith(f"; take {results} away and run spinestiff cohort again")
+    # Made by another version, it is made again by a further run; and a run that failed since says why.
+    later = cohort.order.model_copy(update={"version": "9.9"})
+    assert read_members(cohort.source, cohort.target, cohort.participants, later)[0].words.startswith("made with other")
+    name, why = "sub-001", "tracking failed: no corners"
+    failed = Try(run="1", participant=name, number=1, started="", seconds=1.0, ended="failed", words=why, host="")
+    write_last(place_of(cohort.source, cohort.target, name).last, [failed])
+    first = read_members(cohort.source, cohort.target, cohort.participants, later)[0]
+    assert (first.state, first.words, first.row) == ("failed", why, None)
 
 
 def test_the_table_holds_numbers_as_they_are_and_no_formula():

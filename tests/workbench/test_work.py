@@ -823,7 +823,8 @@ def test_a_picture_of_what_has_changed_since_is_not_shown(served, root):
     for name in ("estimate.json", "sensitivity.png", "frames.png", "parameters.png"):
         (folder / "results" / name).write_bytes(b"{}")
     subject = read_unannotated(folder)
-    for step, inputs in (("sensitivity", ["results/estimate.json"]), ("frames", ["subject.json: pushes"])):
+    of_frames = ["subject.json: pushes", "subject.json: roles"]
+    for step, inputs in (("sensitivity", ["results/estimate.json"]), ("frames", of_frames)):
         record_step(subject, step, step_record(subject, inputs, {}), [folder / "results" / f"{step}.png"])
     address = f"/api/subjects/{served.key()}/results"
 
@@ -832,6 +833,18 @@ def test_a_picture_of_what_has_changed_since_is_not_shown(served, root):
 
     assert shown() == ["sensitivity.png", "frames.png"]
     (folder / "results" / "estimate.json").write_text("{} ", encoding="utf-8")
+    assert shown() == ["frames.png"]
+    # What it proposed was taken: it shows the same as before.
+    values = read_json(folder / "subject.json")
+    roles = values["pushes"][0]["roles"]
+    roles[-1] = "validation" if roles[-1] != "validation" else "unused"
+    write_json(folder / "subject.json", values)
+    assert shown() == ["frames.png"]
+    values["pushes"][0]["level"] += 1.0
+    write_json(folder / "subject.json", values)
+    assert shown() == []
+    values["pushes"][0]["level"] -= 1.0
+    write_json(folder / "subject.json", values)
     assert shown() == ["frames.png"]
     (folder / "results" / "frames.png").write_bytes(b"of another run")
     assert shown() == []

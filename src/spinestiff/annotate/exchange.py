@@ -111,9 +111,8 @@ def in_pixels(image: ImageCorners, radiograph: Radiograph | None) -> tuple[Image
         )
     if radiograph is None:
         raise SubjectError(
-            f"{image.image}: the file does not say whether its corners are pixels or mm, and how many mm a pixel has "
-            f"is not known before a vertebra is marked; write CSV in pixels, or add {UNIT_KEY!r}: 'pixel' to the "
-            "list if they are pixels"
+            f"{image.image}: the file does not say whether its corners are pixels or mm, and the radiograph not how "
+            f"many mm a pixel has; write CSV in pixels, or add {UNIT_KEY!r}: 'pixel' to the list if they are pixels"
         )
     a_pixel = radiograph.view.pixel_spacing
     mm_of = {"px": a_pixel, "mm": np.ones(2)}

@@ -388,6 +388,8 @@ def force_words(forces: Sequence[float | None]) -> str:
 
 def _log_lines(name: str, logged: Logged) -> Iterator[str]:
     match = logged.match
+    if logged.doubt:
+        yield f"log of {push_named(name)}: {logged.doubt}: check the forces"
     if logged.untold:
         yield f"log of {push_named(name)}: {logged.untold}: it stays open"
     if not logged.placed:

@@ -129,7 +129,7 @@ def export(
         str | None,
         typer.Option(
             "--format",
-            help="vtu, glb, osim, mjcf, feb or mrk; by the ending of --out if left out, else vtu.",
+            help="vtu, glb, osim, mjcf, feb or mrk; by the ending of --out if left out, vtu without --out.",
             autocompletion=offering("vtu", "glb", "osim", "mjcf", "feb", "mrk"),
         ),
     ] = None,

@@ -105,15 +105,21 @@ def _member(place: Place, found: Found, failure: str, wanted: Order | None, than
     try:
         row = read_row(place.results / ROW_FILE)
     except SubjectError as error:
-        # Its marker vouches for it: a further run would find it up to date.
+        if failure:
+            return Member(participant, "failed", failure, None, found.marker.order)
         words = f"{error}; take {place.results} away and run spinestiff cohort again"
+        if found.state != "current" or found.marker.order != wanted:
+            words = found.words or _made_otherwise(than)
         return Member(participant, "out of date", words, None, found.marker.order)
     if found.state == "current" and found.marker.order == wanted:
         return Member(participant, "done", "", row, found.marker.order)
     if failure:
         return Member(participant, "failed", f"{failure}; earlier results are shown", row, found.marker.order)
-    words = f"made with other settings or by another version than {than}; run spinestiff cohort again"
-    return Member(participant, "out of date", found.words or words, row, found.marker.order)
+    return Member(participant, "out of date", found.words or _made_otherwise(than), row, found.marker.order)
+
+
+def _made_otherwise(than: str) -> str:
+    return f"made with other settings or by another version than {than}; run spinestiff cohort again"
 
 
 def strangers(target: Path, participants: Sequence[str]) -> tuple[str, ...]:

@@ -59,10 +59,11 @@ def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> di
     except SpinestiffError as error:
         raise type(error)(str(error).replace(str(subject.folder), "the subject")) from None
     match = logged.match
+    against = f"the given time: {match.against}" if match.against else ""
     picture = as_png(draw_log(push_named(push.id), log, match, logged.times_s, logged.motion))
     return {
         "columns": columns.words,
-        "notes": [*log.notes, *filter(None, [match.against and f"the given time: {match.against}", logged.untold])],
+        "notes": [*log.notes, *filter(None, [against, logged.doubt, logged.untold])],
         "placed": logged.placed,
         "forces_n": logged.forces_n if logged.placed else None,
         "given": match.given,

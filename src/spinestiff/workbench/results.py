@@ -13,10 +13,11 @@ from typing import Any
 from spinestiff.errors import NotThere, SpinestiffError, SubjectError
 from spinestiff.files import regular_file
 from spinestiff.study.planning.words import plan_lines
+from spinestiff.study.runner import ROLES
 from spinestiff.subject.folder import Subject, read_annotation, read_unannotated
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS
-from spinestiff.subject.run_record import changed_inputs, is_unchanged, read_outcome, recorded_steps
+from spinestiff.subject.run_record import changed_inputs, changed_outputs, read_outcome, recorded_steps
 from spinestiff.words import sentence
 from spinestiff.workbench.cards import in_words, result, stale
 
@@ -31,6 +32,8 @@ PICTURES = {
     "frames.png": ("frames", "Quality of the frames"),
 }
 """Each with the step that draws it."""
+NOT_SHOWN = {"frames.png": {ROLES}}
+"""What a picture's step is made from and the picture does not show: proposed roles hold when they are taken, too."""
 TYPES = {".html": "text/html; charset=utf-8", ".png": "image/png"}
 LARGEST = 200 * 2**20
 TICKET_S, MOST_TICKETS = 12 * 3600.0, 500
@@ -58,7 +61,7 @@ def results_record(folder: Path) -> dict[str, Any]:
     pictures = [
         {"name": name, "title": title}
         for name, (step, title) in PICTURES.items()
-        if _is_there(folder, name) and _is_current(subject, step)
+        if _is_there(folder, name) and _is_current(subject, step, name)
     ]
     return {
         "pages": [{"name": name, "title": title} for name, title in PAGES.items() if _is_there(folder, name)],
@@ -78,12 +81,14 @@ def _is_there(folder: Path, name: str) -> bool:
     return True
 
 
-def _is_current(subject: Subject, step: str) -> bool:
-    """Whether a step's results are of what is there now."""
+def _is_current(subject: Subject, step: str, picture: str) -> bool:
+    """Whether a step's picture is of what is there now."""
+    annotated = _as_annotated(subject)
     try:
-        return is_unchanged(_as_annotated(subject), step)
+        changed = {*changed_inputs(annotated, step), *changed_outputs(annotated, step)} - NOT_SHOWN.get(picture, set())
     except SpinestiffError:
         return False
+    return step in recorded_steps(annotated) and not changed
 
 
 def _as_annotated(subject: Subject) -> Subject:

@@ -320,6 +320,16 @@ def test_a_date_alone_takes_no_acquisition_time_away(tmp_path, both, time):
     assert found.AcquisitionDate == found.ContentDate
 
 
+def test_a_time_without_a_date_is_of_the_day_that_the_moment_has(tmp_path):
+    dataset = plain(tmp_path)
+    dataset.StudyDate, dataset.AcquisitionTime, dataset.AcquisitionDateTime = "20240430", "101530", "20240501"
+    dataset.ContentDate, dataset.ContentTime = "20240501", "101530"
+    if "AcquisitionDate" in dataset:
+        del dataset.AcquisitionDate
+    found = pydicom.dcmread(BytesIO(deidentify(saved(dataset), KEY).content))
+    assert (found.AcquisitionDate, found.AcquisitionTime) == (found.ContentDate, found.ContentTime)
+
+
 @pytest.mark.parametrize("speaker", ["pydicom", "PIL", "pylibjpeg"])
 def test_no_library_or_codec_gets_a_word_in(tmp_path, monkeypatch, caplog, recwarn, speaker):
     """Their warnings and log lines quote values of the file."""

@@ -12,6 +12,7 @@ import pytest
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.dicom.files import quiet
 from spinestiff.imaging.dicom.ordering import DAY_S, ordered, times_told
+from spinestiff.imaging.dicom.tags import clock_of
 from spinestiff.imaging.radiograph import read_radiographs
 from spinestiff.subject.inspection import inspect
 
@@ -179,3 +180,10 @@ def test_a_series_of_two_persons_without_a_number_is_refused(file, tmp_path):
     file(np.ones((1, 40, 36), np.uint16), "b.dcm", AcquisitionTime="120001", PatientName="Roe^Ann", **named)
     with pytest.raises(RadiographError, match=r"b\.dcm: found another patient than in a\.dcm; keep them apart$"):
         read_radiographs(tmp_path)
+
+
+def test_a_moment_that_tells_all_needs_no_other_element():
+    """One that is damaged and not needed refuses nothing."""
+    told = {"AcquisitionDateTime": "20260102101112"}
+    parts = {"AcquisitionDateTime": "20260102", "AcquisitionDate": "20260102", "AcquisitionTime": "101112"}
+    assert clock_of(parts.__getitem__, "Acquisition") == clock_of(told.__getitem__, "Acquisition")

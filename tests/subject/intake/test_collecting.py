@@ -160,6 +160,23 @@ def test_persons_without_a_number_are_told_apart_by_name_and_birth_date(exported
     assert [group.label for group in studies(out)] == ["A1", "A2", "B1"]
 
 
+def test_a_person_is_one_however_name_and_date_are_written(exported):
+    tags = ({"PatientName": "Doe^Jane", "PatientBirthDate": "20110203"},
+            {"PatientName": "DOE ^Jane^^^", "PatientBirthDate": "2011.02.03"})  # fmt: skip
+    found = [exported(name, study=f"1.{i}", patient="", **one) for i, (name, one) in enumerate(zip("ab", tags), 1)]
+    assert [group.label for group in studies(found)] == ["A1", "A2"]
+
+
+def test_a_study_is_of_one_person_unless_its_files_contradict_each_other(exported):
+    def of(path, **tags):
+        return exported(path, study="1.1", patient="", **{"PatientBirthDate": "20110203", **tags})
+
+    found = [of("a", PatientName="Doe^Jane"), of("b", PatientName=""), of("c", PatientName="Roe^Ann")]
+    assert [[one.name for one in group.files] for group in studies(found)] == [["a", "b"], ["c"]]
+    out = [of(name, PatientName=name, PatientIdentityRemoved="YES") for name in ("x", "y")]
+    assert [group.label for group in studies(out)] == ["A1"]
+
+
 def test_a_file_of_a_study_that_is_left_out_is_told_as_such(mixed):
     files, others = chosen_studies(mixed, "B1")
     for text in ("y/1", "y"):

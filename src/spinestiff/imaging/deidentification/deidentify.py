@@ -322,6 +322,7 @@ def _add_times(new: Dataset, old: Dataset, key: Key, identity: str, left_out: li
         both = re.sub(r"[+-]\d{4}$", "", both.strip())
         if len(both) > 8 or not (date or time):
             date, time = both[:8], both[8:]
+        date = date or both[:8]
         if not date and not time:
             continue
         # A time without a date of its own is one of the study's day.

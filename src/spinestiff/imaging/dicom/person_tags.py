@@ -18,10 +18,16 @@ if TYPE_CHECKING:
 def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
     """For ``identity.Identity``: hashes of the patient's number and of name with birth date, the day, whether the
     patient was taken out."""
-    name, birth = (told(dataset, keyword) for keyword in ("PatientName", "PatientBirthDate"))
-    person = hash_of(f"{name.casefold()}\0{birth}") if name and birth else ""
+    name, birth = plain_name(told(dataset, "PatientName")), told(dataset, "PatientBirthDate").replace(".", "")
+    person = hash_of(f"{name}\0{birth}") if name and birth else ""
     removed = told(dataset, "PatientIdentityRemoved").upper() == "YES"
     return (hashed(dataset, "PatientID"), person), _day(told(dataset, key) for key in _DAYS), removed
+
+
+def plain_name(name: str) -> str:
+    """A person's name however it was written: Doe ^Jane^^^ is doe^jane (DICOM PS3.5, 6.2.1)."""
+    groups = ("^".join(part.strip() for part in group.split("^")).rstrip("^") for group in name.casefold().split("="))
+    return "=".join(groups).rstrip("=")
 
 
 _DAYS = ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate")

@@ -380,11 +380,10 @@ def clock_of(value: Callable[[str], str], what: Literal["Acquisition", "Content"
     """
     # Read by hand: values like 17:58:00 of old systems are worth having, and a bad time is no reason to refuse.
     both = value("AcquisitionDateTime") if what == "Acquisition" else ""
-    for date, time in ((both[:8], both[8:]), (value(f"{what}Date"), value(f"{what}Time"))):
-        seconds = _seconds_of(time)
-        if seconds is not None:
-            return DAY_S * (ordinal(date) or 0) + seconds
-    return None
+    date, seconds = both[:8], _seconds_of(both[8:])
+    if seconds is None:
+        date, seconds = value(f"{what}Date"), _seconds_of(value(f"{what}Time"))
+    return None if seconds is None else DAY_S * (ordinal(date) or 0) + seconds
 
 
 def text(dataset: Dataset, keyword: str) -> str:

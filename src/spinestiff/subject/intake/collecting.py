@@ -168,20 +168,22 @@ def studies(found: Sequence[Exported]) -> tuple[Study, ...]:
 
 def _by_patient(found: Sequence[Exported]) -> list[list[Exported]]:
     """Radiographs of one patient together, as far as headers tell; those that tell nothing of theirs are together."""
-    patients: list[list[Identity]] = []
-    for whose in dict.fromkeys(one.scan.whose for one in found):
-        mine = next((patient for patient in patients if _is_among(whose, patient)), None)
+    patients: list[list[tuple[Identity, str]]] = []
+    for one in dict.fromkeys((one.scan.whose, one.tags.study) for one in found):
+        mine = next((patient for patient in patients if _is_among(*one, patient)), None)
         if mine is None:
-            patients.append([whose])
+            patients.append([one])
         else:
-            mine.append(whose)
-    return [[one for one in found if one.scan.whose in patient] for patient in patients]
+            mine.append(one)
+    return [[one for one in found if (one.scan.whose, one.tags.study) in patient] for patient in patients]
 
 
-def _is_among(whose: Identity, patient: Sequence[Identity]) -> bool:
-    # Without a number, what another file says may be of anybody.
-    tells = bool(whose.marks[0]) or any(whose.is_of(other) or whose.marks == other.marks for other in patient)
-    return tells and all(whose.may_be_of(other) for other in patient)
+def _is_among(whose: Identity, study: str, patient: Sequence[tuple[Identity, str]]) -> bool:
+    # Without a number, what a file of another study says may be of anybody.
+    tells = bool(whose.marks[0]) or any(
+        whose.is_of(other) or whose.marks == other.marks or (study and study == of) for other, of in patient
+    )
+    return tells and all(whose.may_be_of(other) for other, _ in patient)
 
 
 def _letters(number: int) -> str:

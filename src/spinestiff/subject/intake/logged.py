@@ -23,12 +23,16 @@ MOST_OUTSIDE_S = 1.0
 
 @dataclass(frozen=True)
 class Logged:
-    """A push's log beside its frames: times (F,), s since the first, and motion (F,), pixels (``imaging.motion``)."""
+    """A push's log beside its frames: times (F,), s since the first, and motion (F,), pixels (``imaging.motion``).
+
+    ``by_content`` : times are those of the pictures' content, since no file tells when it was taken.
+    """
 
     log: ForceLog
     times_s: Floats
     motion: Floats
     match: LogMatch
+    by_content: bool = False
 
     @property
     def placed(self) -> bool:
@@ -46,6 +50,13 @@ class Logged:
         frames = [str(i) for i, force in enumerate(self.match.forces_n) if self.placed and not np.isfinite(force)]
         many = f"frame {frames[0]} lies" if len(frames) == 1 else f"frames {', '.join(frames)} lie"
         return f"{many} beyond the log, or in a gap of it, where it tells no force" if frames else ""
+
+    @property
+    def doubt(self) -> str:
+        """What is doubtful of the frames' times, in words; empty if nothing."""
+        if not self.by_content:
+            return ""
+        return "its radiographs tell no AcquisitionTime; their ContentTime, which may be that of processing, is taken"
 
     def table(self) -> str:
         """CSV, a row a frame; forces are empty where the offset is not determined, or the log tells none."""
@@ -84,7 +95,8 @@ def put_beside(log: ForceLog, files: Sequence[Path], name: str, offset_s: float 
             f"{push_named(name)}: times of its frames do not grow, so a force log can't be put beside them"
         )
     motion = motion_course(frame for scan in scans for frame in scan.pixels)
-    logged = Logged(log, times, motion, match_log(log, times, motion))
+    by_content = len(scans) > 1 and all(scan.tags.clock is None for scan in scans)
+    logged = Logged(log, times, motion, match_log(log, times, motion), by_content)
     return logged if offset_s is None else at_offset(logged, name, offset_s)
 
 
