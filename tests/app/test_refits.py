@@ -9,13 +9,10 @@ import pytest
 
 from spinestiff.files import read_json
 from spinestiff.study import steps
-from spinestiff.study.parameters import SIX
 from spinestiff.study.sensitivity import force_percent
-from spinestiff.subject.parameters_outcome import GradientRow, ModelScore, ParameterEffect, ParameterStudy
 from spinestiff.subject.run_record import write_outcome
 from spinestiff.subject.sensitivity_outcome import Refit, Sensitivity
-
-NAMES = ("lateral_bending", "tissue")
+from studied import NAMES, STUDY
 
 
 def refit(series, what, by, *percent, names=NAMES):
@@ -37,27 +34,6 @@ SENSITIVITY = Sensitivity(
     basis="", mesh="coarse", parameters=NAMES, estimate=dict.fromkeys(NAMES, 0.1), interval95=dict.fromkeys(NAMES),
     refits=REFITS, force_percent=force_percent(REFITS), complete=True,
 )  # fmt: skip
-
-
-def score(names, error):
-    return ModelScore(
-        parameters=names, ratios={name: 0.01 * (i + 1) for i, name in enumerate(names)}, sd_log={}, extreme=(),
-        training_rmse_mm=0.5, left_out_rmse_mm=error, held_out_rmse_mm=1.5, aic=100.0,
-    )  # fmt: skip
-
-
-STUDY = ParameterStudy(
-    mesh="coarse",
-    effects=[
-        ParameterEffect(name=name, default_mm=0.123, estimate_mm=6.0 - i, share=0.1) for i, name in enumerate(SIX)
-    ],
-    gradient=[GradientRow(name=name, default=12.0 + i, optimum=-0.25) for i, name in enumerate(SIX)],
-    optimum={"intervertebral_bending": 0.11, "tissue": 0.02},
-    models=(score(NAMES, 1.0), score(("lateral_bending", "tissue_mu", "tissue_lambda"), 0.99)),
-    left_out="frame",
-    lambda_prior_sd=1.0,
-    lambda_sd=0.98,
-)
 
 
 @pytest.fixture

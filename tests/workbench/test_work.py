@@ -42,6 +42,7 @@ from spinestiff.workbench.parcel import nameless_parcel
 from spinestiff.workbench.rooms import open_root
 from spinestiff.workbench.unzip import unzip
 from spinestiff.workbench.verbs import command_of
+from studied import STUDY
 from unannotated import CANARY, drawn
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="processes as POSIX has them")
@@ -815,6 +816,21 @@ def test_a_plan_that_is_older_than_the_estimate_is_called_out_of_date(served, ro
     (folder / "results" / "estimate.json").write_text("{} ", encoding="utf-8")
     write_json(folder / "subject.json", read_json(folder / "subject.json") | {"pelvis": "level"})
     assert served.good("GET", address)["plan_stale"] == ["the estimate", "values: supports"]
+
+
+def test_a_study_of_parameters_is_told_as_long_as_it_holds(served, root):
+    folder = root / "girl"
+    (folder / "results").mkdir()
+    (folder / "results" / "estimate.json").write_text("{}", encoding="utf-8")
+    subject, address = read_unannotated(folder), f"/api/subjects/{served.key()}/results"
+    assert served.good("GET", address)["parameters"] == []
+    write_outcome(subject, STUDY)
+    made_from = step_record(subject, ["results/estimate.json"], {})
+    record_step(subject, "parameters", made_from, [folder / "results" / "parameters.json"])
+    first, *others = served.good("GET", address)["parameters"]
+    assert first.startswith("Ranking at the estimate: ") and len(others) >= 3
+    (folder / "results" / "estimate.json").write_text("{} ", encoding="utf-8")
+    assert served.good("GET", address)["parameters"] == []
 
 
 def test_a_picture_of_what_has_changed_since_is_not_shown(served, root):

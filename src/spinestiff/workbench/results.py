@@ -12,9 +12,11 @@ from typing import Any
 
 from spinestiff.errors import NotThere, SpinestiffError, SubjectError
 from spinestiff.files import regular_file
+from spinestiff.study.parameter_words import parameter_lines
 from spinestiff.study.planning.words import plan_lines
 from spinestiff.study.runner import ROLES
 from spinestiff.subject.folder import Subject, read_annotation, read_unannotated
+from spinestiff.subject.parameters_outcome import ParameterStudy
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS
 from spinestiff.subject.run_record import changed_inputs, changed_outputs, read_outcome, recorded_steps
@@ -32,8 +34,8 @@ PICTURES = {
     "frames.png": ("frames", "Quality of the frames"),
 }
 """Each with the step that draws it."""
-NOT_SHOWN = {"frames.png": {ROLES}}
-"""What a picture's step is made from and the picture does not show: proposed roles hold when they are taken, too."""
+NOT_SHOWN = {"frames": {ROLES}}
+"""What a step is made from and its picture does not show: proposed roles hold when they are taken, too."""
 TYPES = {".html": "text/html; charset=utf-8", ".png": "image/png"}
 LARGEST = 200 * 2**20
 TICKET_S, MOST_TICKETS = 12 * 3600.0, 500
@@ -56,12 +58,12 @@ def result_file(folder: Path, name: str) -> Path:
 
 
 def results_record(folder: Path) -> dict[str, Any]:
-    """What a subject's results are, as JSON; without pictures of what has changed since."""
+    """What a subject's results are, as JSON; without what has changed since of pictures and parameters."""
     subject = read_unannotated(folder)
     pictures = [
         {"name": name, "title": title}
         for name, (step, title) in PICTURES.items()
-        if _is_there(folder, name) and _is_current(subject, step, name)
+        if _is_there(folder, name) and _is_current(subject, step)
     ]
     return {
         "pages": [{"name": name, "title": title} for name, title in PAGES.items() if _is_there(folder, name)],
@@ -69,6 +71,7 @@ def results_record(folder: Path) -> dict[str, Any]:
         "result": result(subject),
         "plan": _plan(subject),
         "plan_stale": _plan_stale(subject),
+        "parameters": _parameters(subject),
         "stale": _stale(subject),
     }
 
@@ -81,11 +84,11 @@ def _is_there(folder: Path, name: str) -> bool:
     return True
 
 
-def _is_current(subject: Subject, step: str, picture: str) -> bool:
-    """Whether a step's picture is of what is there now."""
+def _is_current(subject: Subject, step: str) -> bool:
+    """Whether what is shown of a step is of what is there now."""
     annotated = _as_annotated(subject)
     try:
-        changed = {*changed_inputs(annotated, step), *changed_outputs(annotated, step)} - NOT_SHOWN.get(picture, set())
+        changed = {*changed_inputs(annotated, step), *changed_outputs(annotated, step)} - NOT_SHOWN.get(step, set())
     except SpinestiffError:
         return False
     return step in recorded_steps(annotated) and not changed
@@ -103,6 +106,15 @@ def _plan(subject: Subject) -> list[str]:
         return []
     try:
         return [sentence(line) for line in plan_lines(read_outcome(subject, Plan))]
+    except SpinestiffError:
+        return []
+
+
+def _parameters(subject: Subject) -> list[str]:
+    if not _is_current(subject, ParameterStudy.STEP):
+        return []
+    try:
+        return [sentence(line) for line in parameter_lines(read_outcome(subject, ParameterStudy))]
     except SpinestiffError:
         return []
 

@@ -17,7 +17,7 @@ export interface Card {
   id?: string; age?: number | null; sex?: string | null; height_cm?: number | null; pushes?: number; result?: Result | null; stale?: string[];
 }
 export interface Results {
-  pages: { name: string; title: string }[]; pictures: { name: string; title: string }[]; result: Result | null; plan: string[]; plan_stale: string[]; stale: string[]; ticket: string;
+  pages: { name: string; title: string }[]; pictures: { name: string; title: string }[]; result: Result | null; plan: string[]; plan_stale: string[]; parameters: string[]; stale: string[]; ticket: string;
 }
 export type Values = { [name: string]: unknown };
 export interface Schema {

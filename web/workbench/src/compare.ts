@@ -3,7 +3,7 @@ import { button, h } from "../../shared/dom";
 import * as api from "./api";
 import { badge, person } from "./cards";
 import { act, link, number, type Room } from "./page";
-import { bars, span, told } from "./stiffness";
+import { bars, kind, span, told } from "./stiffness";
 
 export async function compare(first = "", second = ""): Promise<Room> {
   const cards = (await api.subjects()).filter((card) => card.result && !card.result.problem), below = h("div");
@@ -53,14 +53,14 @@ function change(of: api.Visits): HTMLElement {
 type Column = [string, (card: api.Card) => string | number | null, ((card: api.Card) => string)?];
 
 export async function table(): Promise<Room> {
-  const cards = await api.subjects(), names = [...new Set(cards.flatMap((card) => card.result?.stiffness?.map((one) => one.name) ?? []))];
+  const cards = await api.subjects(), kinds = [...new Set(cards.flatMap((card) => card.result?.stiffness?.map(kind) ?? []))];
   const columns: Column[] = [
     ["Subject", (card) => card.name], ["State", (card) => (card.stage === "done" ? (card.result?.badge ?? "") : card.result && card.stale?.length ? `${card.stage_words}; the result is older` : card.stage_words)], ["Sex", (card) => card.sex ?? null],
     ["Age, years", (card) => card.age ?? null], ["Height, cm", (card) => card.height_cm ?? null], ["Pushes", (card) => card.pushes ?? null],
-    ...names.map((name): Column => {
-      const of = (card: api.Card): api.Stiffness | undefined => card.result?.stiffness?.find((one) => one.name === name);
+    ...kinds.map((its): Column => {
+      const of = (card: api.Card): api.Stiffness | undefined => card.result?.stiffness?.find((one) => kind(one) === its);
       const first = cards.map(of).find((one) => one);
-      return [`${first?.title ?? name}, ${first?.unit ?? ""}`, (card) => of(card)?.value ?? null, (card) => { const one = of(card); return one ? told(one) : ""; }];
+      return [`${first?.title ?? its}, ${first?.unit ?? ""}`, (card) => of(card)?.value ?? null, (card) => { const one = of(card); return one ? told(one) : ""; }];
     }),
     ["Change of the Cobb angle", (card) => card.result?.cobb?.change_deg ?? null, (card) => card.result?.cobb?.words ?? ""],
   ];

@@ -8,7 +8,7 @@ export async function results(key: string, card: api.Card): Promise<Room> {
   const found = await api.results(key), { result } = found;
   const shown = (name: string): string => `/shown/${found.ticket}/${name}`;
   const frame = h("div", { class: "shown" }), tabs = h("div", { class: "tabs", role: "tablist", "aria-label": "Pages" });
-  const all = [...found.pages, ...(found.plan.length || found.pictures.length ? [{ name: "", title: "Pictures and plan" }] : [])];
+  const all = [...found.pages, ...(found.plan.length || found.parameters.length || found.pictures.length ? [{ name: "", title: "Pictures and plan" }] : [])];
   const older = (): HTMLElement | null => (found.plan_stale.length ? h("p", { class: "warn" }, `This plan is out of date: changed since it was made: ${found.plan_stale.join(", ")}. The room Run makes another one.`) : null);
   const show = (name: string, title: string): void => {
     for (const tab of tabs.querySelectorAll<HTMLElement>("[role=tab]")) {
@@ -20,6 +20,7 @@ export async function results(key: string, card: api.Card): Promise<Room> {
         h("iframe", { src: shown(name), title, sandbox: "allow-scripts allow-downloads" }));
     } else {
       frame.replaceChildren(found.plan.length ? h("div", { class: "card" }, h("h3", {}, "Which push next"), older(), ...found.plan.map((line) => h("p", {}, line))) : "",
+        found.parameters.length ? h("div", { class: "card" }, h("h3", {}, "Which parameters at all"), ...found.parameters.map((line) => h("p", {}, line))) : "",
         ...found.pictures.map((one) => h("figure", { class: "card" }, h("figcaption", {}, one.title), h("img", { src: shown(one.name), alt: one.title }))));
     }
   };
