@@ -276,7 +276,7 @@ def test_pictures_that_do_not_fit_are_refused(folder, record) -> None:
     with pytest.raises(SubjectError, match=r"corners\.csv: no such file; write it as docs/bench-phantom\.md shows"):
         read_phantom(folder)
     with pytest.raises(SubjectError, match=r"corners.csv: rest: corners in mm; wanted pixels"):
-        analyse(record, [replace(image, unit="mm") for image in seen])
+        analyse(record, [replace(image, unit="mm", first_on="right") for image in seen])
     mirrored = replace(seen[1], corners=seen[1].corners[:, [1, 0, 3, 2]])
     with pytest.raises(SubjectError, match=r"corners.csv: T12 right 4: corners of T12 are mirrored"):
         analyse(record, [seen[0], mirrored, *seen[2:]])

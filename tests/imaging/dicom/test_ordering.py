@@ -187,3 +187,12 @@ def test_a_moment_that_tells_all_needs_no_other_element():
     told = {"AcquisitionDateTime": "20260102101112"}
     parts = {"AcquisitionDateTime": "20260102", "AcquisitionDate": "20260102", "AcquisitionTime": "101112"}
     assert clock_of(parts.__getitem__, "Acquisition") == clock_of(told.__getitem__, "Acquisition")
+
+
+@pytest.mark.parametrize("time", ["735194", "246000", "106000", "101061", "240000"])
+def test_what_is_no_time_of_day_is_none(time):
+    """Its hours would count as days, and the file as one of another year."""
+    parts = {"AcquisitionDateTime": f"20260102{time}", "AcquisitionDate": "20260102", "AcquisitionTime": "101112"}
+    whole = {"AcquisitionDateTime": "20260102101112"}
+    assert clock_of(parts.__getitem__, "Acquisition") == clock_of(whole.__getitem__, "Acquisition")
+    assert clock_of({**parts, "AcquisitionTime": time}.__getitem__, "Acquisition") is None

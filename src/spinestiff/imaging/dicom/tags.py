@@ -400,12 +400,14 @@ def told(dataset: Dataset, keyword: str) -> str:
 
 
 def _seconds_of(time: str) -> float | None:
-    """Since midnight."""
+    """Since midnight; None of what is no time of day."""
     found = re.match(r"(\d\d):?(\d\d)?:?(\d\d(?:\.\d+)?)?", time)
     if found is None:
         return None
     hours, minutes, seconds = (float(part or 0.0) for part in found.groups())
-    return 3600.0 * hours + 60.0 * minutes + seconds
+    total = 3600.0 * hours + 60.0 * minutes + seconds
+    # A second of 60 is a leap second.
+    return total if minutes < 60.0 and seconds < 61.0 and total < DAY_S else None
 
 
 def ordinal(date: str) -> int | None:
