@@ -53,9 +53,10 @@ from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.fitted import FitEnd, StiffnessFit
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.study.assessment import assess
+from spinestiff.study.fits import fit_from_coarse
 from spinestiff.study.forecasts import forecasts
 from spinestiff.study.predictions import Model, predict
-from spinestiff.study.trials import PushSet, fit_from_coarse
+from spinestiff.study.trials import PushSet
 
 RESULTS = Path(__file__).parent / "results" / "coverage.json"
 LOGS = RESULTS.with_suffix("")

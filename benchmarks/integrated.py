@@ -31,7 +31,7 @@ from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.emulator import Emulator
-from spinestiff.study.trials import fit_pushes
+from spinestiff.study.fits import fit_pushes
 
 RESULTS = ROOT / "benchmarks" / "results" / "integrated.json"
 FIRST = 41000

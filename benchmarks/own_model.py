@@ -38,7 +38,8 @@ from spinestiff.estimation.objective import residuals
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.weighed import WeighedProblem
 from spinestiff.imaging.features import VertebraCorners
-from spinestiff.study.trials import PushSet, fit_pushes
+from spinestiff.study.fits import fit_pushes
+from spinestiff.study.trials import PushSet
 
 RESULTS = Path(__file__).parent / "results" / "own_model.json"
 ACQUISITIONS: tuple[Acquisition, ...] = ("paper", "three pushes", "both sides")

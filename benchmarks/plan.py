@@ -34,12 +34,13 @@ from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.mechanics.push import Rig
 from spinestiff.personalise.pose import align_view
+from spinestiff.study.fits import fit_pushes
 from spinestiff.study.planning.proposal import composed, make_plan
 from spinestiff.study.planning.scene import Scene, places_of_draws, population_places
 from spinestiff.study.planning.states import CarriedPushes
 from spinestiff.study.planning.widths import ExpectedWidths
 from spinestiff.study.planning.wish import COMFORT_N, Wish
-from spinestiff.study.trials import PushSet, fit_pushes
+from spinestiff.study.trials import PushSet
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlannedView
 
 RESULTS = Path(__file__).parent / "results" / "plan.json"

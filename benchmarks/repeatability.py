@@ -27,8 +27,8 @@ from coverage_subjects import START, make_subject, seen_by
 from kept_rows import asked_for, begun, keep
 
 from spinestiff.errors import SpinestiffError
+from spinestiff.study.fits import fit_pushes
 from spinestiff.study.repeatability import VisitEstimate, VisitRatio, repeatability
-from spinestiff.study.trials import fit_pushes
 from spinestiff.subject.outcome_parts import Quantity
 
 RESULTS = Path(__file__).parent / "results" / "repeatability.json"

@@ -28,10 +28,11 @@ import numpy as np
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
 from spinestiff.files import read_json
+from spinestiff.study.fits import fit_pushes
 from spinestiff.study.recipe import Recipe
 from spinestiff.study.runner import run_steps
 from spinestiff.study.synthetic import subject_torso, truth_path
-from spinestiff.study.trials import fit_pushes, known_of, push_set, rig_of
+from spinestiff.study.trials import known_of, push_set, rig_of
 from spinestiff.study.visit import USUAL, open_visit
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcomes import Tracked, TrackedPush

@@ -12,7 +12,8 @@ from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.fitted import FitEnd, StiffnessFit
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.tracing import Profile
-from spinestiff.study.trials import PushSet, rise_of
+from spinestiff.study.fits import rise_of
+from spinestiff.study.trials import PushSet
 
 
 def solved_at_truth(pushes: PushSet, fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ import spinestiff.estimation.fit as fits
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.discrepancy_data import EXPECTED, shipped_data
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
-from spinestiff.study.trials import fit_pushes
+from spinestiff.study.fits import fit_pushes
 
 RESULTS = Path(__file__).parent / "results" / "untried.json"
 NAMES = ("lateral_bending", "tissue")

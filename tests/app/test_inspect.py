@@ -23,18 +23,6 @@ def test_a_sound_subject_passes(spinestiff, girl):
     assert "subject.json" not in ran.out
 
 
-def test_a_radiograph_that_would_count_twice_is_refused(spinestiff, girl):
-    content, marks = read_json(girl / "subject.json"), read_json(girl / "annotation.json")
-    main, second = content["pushes"]
-    second |= {name: main[name] for name in ("forces_n", "roles")}
-    shutil.copy(girl / main["frames"], girl / second["frames"])
-    marks["images"]["push/second"] = marks["images"]["push/main"]
-    write_json(girl / "subject.json", content)
-    write_json(girl / "annotation.json", marks)
-    ran = spinestiff("inspect", girl)
-    assert ran.status == 2 and "would count twice" in ran.out
-
-
 @pytest.mark.parametrize(
     ("changed", "words"),
     [

@@ -21,11 +21,12 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.shape import personalise
+from spinestiff.study.fits import fit_pushes
 from spinestiff.study.judgement import failed, judge, outlying_notes
 from spinestiff.study.judgement.limits import LIMITS
 from spinestiff.study.judgement.rest_shape import RestShape
 from spinestiff.study.spines import curved_spine
-from spinestiff.study.trials import fit_pushes, push_set
+from spinestiff.study.trials import push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 

@@ -26,8 +26,9 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.push import Rig, push_heights, push_problem
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import posed
+from spinestiff.study.fits import fit_pushes
 from spinestiff.study.synthetic_markers import spread_markers
-from spinestiff.study.trials import Known, fit_pushes, known_of, push_set, rig_of, seen_beside
+from spinestiff.study.trials import Known, known_of, push_set, rig_of, seen_beside
 from spinestiff.subject.outcome_parts import ViewRecord
 from spinestiff.subject.outcomes import MarkedPedicles, MarkerTracks, Measured, SidePicture, SideView, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord

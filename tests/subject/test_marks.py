@@ -103,6 +103,8 @@ def test_a_radiograph_counts_in_one_push_alone(girl, monkeypatch):
     words = f"push 'second' frame {used} is the same picture as push 'main' frame {used}, and would count twice"
     with pytest.raises(SubjectError, match=words):
         run_steps(open_visit(girl))
+    ran = CliRunner().invoke(app, ["inspect", str(girl)])
+    assert ran.exit_code == 2 and "would count twice" in ran.output
     second["roles"] = ["unused"] * len(second["roles"])
     write_json(girl / "subject.json", content)
     check_marks(read_subject(girl))

@@ -13,9 +13,10 @@ from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fitted import Method
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.imaging.features import picture_axes, rmse, target_features
+from spinestiff.study.fits import fit_from_coarse
 from spinestiff.study.forecasts import forecast_change, forecast_record
 from spinestiff.study.predictions import Model, Prediction, Predictions
-from spinestiff.study.trials import PushSet, PushTrial, fit_from_coarse
+from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.assessment_outcome import PREDICTORS, CobbChangeRecord, HeldOutFrame
 
 COBB_MODELS = ("default", "fit", "truth")

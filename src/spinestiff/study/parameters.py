@@ -13,10 +13,11 @@ from spinestiff.errors import EquilibriumError, FitError, SpinestiffError, Subje
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fitted import FitEnd, StiffnessFit
 from spinestiff.observer import Observer
+from spinestiff.study.fits import fit_pushes
 from spinestiff.study.forecasts import forecast_frames
 from spinestiff.study.paper import TABLE_3
 from spinestiff.study.refits import Basis, basis_of, converged
-from spinestiff.study.trials import PushSet, PushTrial, fit_pushes
+from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.study.visit import Visit
 from spinestiff.subject.outcome_parts import finite
 from spinestiff.subject.parameters_outcome import GradientRow, ModelScore, ParameterEffect, ParameterStudy

@@ -9,7 +9,8 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import ShortRepr
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fitted import Method, StiffnessFit
-from spinestiff.study.trials import PushSet, fit_pushes
+from spinestiff.study.fits import fit_pushes
+from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import Visit, pushes_on, torso_on
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome

@@ -25,8 +25,8 @@ from spinestiff.formats import json_text
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
 from spinestiff.observer import Observer
 from spinestiff.personalise.placing import place_vertebrae
+from spinestiff.study.fits import fit_pushes
 from spinestiff.study.refits import Basis, basis_of, converged
-from spinestiff.study.trials import fit_pushes
 from spinestiff.study.visit import Visit, has_start, pushes_on, torso_on
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.program import program_of_numbers

@@ -24,6 +24,7 @@ from spinestiff.observer import Observer
 from spinestiff.personalise.measured_skin import TrunkSize
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
+from spinestiff.study.fits import fit_from_coarse, fit_pushes
 from spinestiff.study.forecasts import fit_end, forecasts
 from spinestiff.study.frame_selection import frame_qualities, propose
 from spinestiff.study.judgement import failed, judge_inputs
@@ -51,7 +52,7 @@ from spinestiff.study.summary import (
     response_csv,
 )
 from spinestiff.study.support_notes import strongest_notes, support_notes
-from spinestiff.study.trials import PushSet, fit_from_coarse, fit_pushes
+from spinestiff.study.trials import PushSet
 from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import START, Visit, load_pushes, load_start
 from spinestiff.study.wording import no_estimate, response_lines

@@ -8,15 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.pushes import annotated_frame, frame_forces
-from spinestiff.errors import FitError, NoMinimum, SubjectError, TrackingError
-from spinestiff.estimation.evaluation import OnFitStep
-from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
-from spinestiff.estimation.fitted import FitEnd, Method, StiffnessFit
-from spinestiff.estimation.mode import CLOSE_SD, ROUGHLY_SD
+from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import check_population
@@ -25,7 +20,6 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.push import PushSite, Rig, push_heights, push_load, push_problem
-from spinestiff.observer import Observer
 from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import ViewPose, align_view
 from spinestiff.subject.outcomes import SideView, TrackedPush
@@ -395,88 +389,3 @@ def seen_beside(pushes: PushSet) -> tuple[str, ...]:
         if parts:
             found.append(f"push '{push}': beside the frontal corners, {' and '.join(parts)}")
     return tuple(found)
-
-
-def fit_from_coarse(
-    coarse: PushSet | None,
-    pushes: PushSet,
-    names: Sequence[str],
-    start: Mapping[str, float],
-    method: Method = "weighed",
-    observer: OnFitStep | None = None,
-    say: Observer = lambda line: None,
-    extent: Extent = "everything",
-    population: str | None = None,
-    close_sd: float = CLOSE_SD,
-) -> StiffnessFit:
-    """The fit of the training frames, begun where the same trials on a coarse torso end; see ``fit_pushes``."""
-    known: Mapping[str, float] = {}
-    rough: StiffnessFit | None = None
-    if coarse is not None:
-        say("on the coarse mesh first")
-        shape: Extent = "estimate" if extent == "estimate" else "shape"
-        near = max(close_sd, ROUGHLY_SD)
-        try:
-            rough = fit_pushes(coarse, names, start, method, observer, shape, population=population, close_sd=near)
-        except NoMinimum as error:
-            say(f"no fit on the coarse mesh ({error})")
-        else:
-            start, known = rough.ratios.as_dict(), rough.standard_nuisances
-        say("on the fine mesh")
-    return fit_pushes(pushes, names, start, method, observer, extent, known, population, rough, close_sd)
-
-
-def rise_of(
-    pushes: PushSet,
-    estimate: FitEnd,
-    others: Mapping[str, float],
-    population: str | None = None,
-    rmse_mm: float | None = None,
-    starts: Sequence[TorsoState] | None = None,
-) -> float:
-    """By how much less likely other ratios are than an estimate (``estimation.fit.likelihood_rise``)."""
-    return likelihood_rise(
-        [pushes.problems[t.push] for t in pushes.fitted],
-        [t.trial for t in pushes.fitted],
-        estimate,
-        others,
-        pushes.orientation,
-        pushes.known.priors,
-        pushes.known.geometry,
-        pushes.known.taped,
-        population,
-        rmse_mm,
-        starts,
-    )
-
-
-def fit_pushes(
-    pushes: PushSet,
-    names: Sequence[str],
-    start: Mapping[str, float] | None = None,
-    method: Method = "weighed",
-    observer: OnFitStep | None = None,
-    extent: Extent = "everything",
-    start_nuisances: Mapping[str, float] | None = None,
-    population: str | None = None,
-    rough: StiffnessFit | None = None,
-    close_sd: float = CLOSE_SD,
-) -> StiffnessFit:
-    """The fit of the training frames; arguments and errors are those of ``estimation.fit.fit_stiffness``."""
-    return fit_stiffness(
-        [pushes.problems[t.push] for t in pushes.fitted],
-        [t.trial for t in pushes.fitted],
-        names,
-        method,
-        start=start,
-        orientation=pushes.orientation,
-        observer=observer,
-        priors=pushes.known.priors,
-        geometry=pushes.known.geometry,
-        taped=pushes.known.taped,
-        extent=extent,
-        start_nuisances=start_nuisances,
-        population=population,
-        rough=rough,
-        close_sd=close_sd,
-    )

@@ -9,8 +9,9 @@ from spinestiff.anatomy.regions import AT, check_ratios
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.errors import EquilibriumError, SubjectError, TorsoError
 from spinestiff.files import read_json
+from spinestiff.study.fits import rise_of
 from spinestiff.study.forecasts import fit_end
-from spinestiff.study.trials import PushSet, rise_of
+from spinestiff.study.trials import PushSet
 from spinestiff.subject.assessment_outcome import Comparison
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject
