@@ -62,6 +62,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "skimage": ("imaging/*", "estimation/profiles.py"),
     "numba": ("mechanics/*", "imaging/synthetic/path_length.py", "imaging/synthetic/texture.py"),
     "rslab": ("mechanics/factor.py",),
+    "threadpoolctl": ("parallel.py",),
     "matplotlib": (
         "study/report/figures.py",
         "study/report/overlay.py",

@@ -5,8 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
+from functools import lru_cache
 from threading import local
 from typing import TypeVar
+
+from threadpoolctl import ThreadpoolController
 
 from spinestiff.errors import OptionError
 
@@ -64,10 +68,28 @@ def in_parallel(function: Callable[[Piece], Result], pieces: Iterable[Piece]) ->
     pool = ThreadPoolExecutor(count, "spinestiff")
     wait = True
     try:
-        waiting = [pool.submit(alone, piece) for piece in todo]
-        return [one.result() for one in waiting]
+        with blas_on_one_thread():
+            waiting = [pool.submit(alone, piece) for piece in todo]
+            return [one.result() for one in waiting]
     except KeyboardInterrupt:
         wait = False  # for nobody: what is at work ends by itself
         raise
     finally:
         pool.shutdown(wait=wait, cancel_futures=True)
+
+
+def blas_on_one_thread() -> AbstractContextManager[object]:
+    """Inside, BLAS works on the caller's thread, whoever started Python with which settings.
+
+    A solve has thousands of products of vectors, for each of which BLAS would wake all its threads: beside another
+    process on two processors the steps of an equilibrium took four times as long.
+    """
+    return nullcontext() if getattr(_here, "busy", False) else _blas().limit(limits=1, user_api="blas")
+
+
+@lru_cache(maxsize=1)
+def _blas() -> ThreadpoolController:
+    """The libraries of NumPy and SciPy, each of which has its own."""
+    import scipy.linalg  # noqa: F401  (it loads SciPy's)
+
+    return ThreadpoolController()

@@ -308,10 +308,34 @@ def test_no_equilibrium_at_the_start_is_one_clear_error(column, clean, brittle) 
     start = {"lateral_bending": 3.0, "tissue": 3.0}
     fit = fit_stiffness(brittle(1.5), stiff, start=start, bounds=BOUNDS, extent="estimate")
     assert np.isnan(fit.default_rmse_mm)
-    assert "(default: no equilibrium)" in str(fit) and "nan" not in str(fit)
-    assert ", default: no equilibrium" in fit._repr_html_() and "nan mm" not in fit._repr_html_()
+    assert "(default: no equilibrium known)" in str(fit) and "nan" not in str(fit)
+    assert ", default: no equilibrium known" in fit._repr_html_() and "nan mm" not in fit._repr_html_()
     assert fit.default_equilibria == ()
     assert fit.ratios.values == pytest.approx([2.5, 2.0], rel=5e-2)
+
+
+def test_a_start_may_be_solved_from_states_that_are_known(column, noisy, whole, monkeypatch) -> None:
+    known = {one.name: one.standard for one in whole.weighed.nuisances}
+    begun = {"start": whole.ratios.as_dict(), "start_nuisances": known, "bounds": BOUNDS, "extent": "estimate"}
+    states = [found.state for found in whole.equilibria]
+    by_ratios = fit_stiffness(column.problem, noisy, **begun)
+    fit = fit_stiffness(column.problem, noisy, **begun, starts=states)
+    assert fit.ratios.values == pytest.approx(by_ratios.ratios.values, rel=1e-6)
+    assert fit.cost.newton_iterations < by_ratios.cost.newton_iterations
+    assert fit.cost.equilibria < by_ratios.cost.equilibria
+    assert fit.default_equilibria == () and np.isnan(fit.default_rmse_mm)
+    solve = WeighedProblem.solve
+
+    def from_states_never(self, *args, starts=None, **kwargs):
+        if starts is not None:
+            raise EquilibriumError("no")
+        return solve(self, *args, **kwargs)
+
+    monkeypatch.setattr(WeighedProblem, "solve", from_states_never)
+    instead = fit_stiffness(column.problem, noisy, **begun, starts=states)
+    assert instead.ratios.values == pytest.approx(by_ratios.ratios.values, rel=1e-6)
+    assert instead.cost.equilibria > fit.cost.equilibria
+    assert np.isnan(instead.history[0].rmse_mm) and not instead.history[0].accepted
 
 
 @pytest.mark.parametrize("method", fitting.METHODS)

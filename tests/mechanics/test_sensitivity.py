@@ -10,6 +10,7 @@ import pytest
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.errors import EquilibriumError, TorsoError
+from spinestiff.mechanics import newton
 from spinestiff.mechanics.equilibrium import EquilibriumProblem, SolveStatus
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.verification.blocks import holds
@@ -51,6 +52,23 @@ def test_eq6_forward_sensitivity_against_differences_of_solves(case):
             total = total + weight * (_positions(ends[0].require().state) - _positions(ends[1].require().state))
         wanted = total / h
         assert np.abs(_moves(forward[:, i], 3) - wanted).max() < 1e-6 * np.abs(wanted).max()
+
+
+@pytest.mark.parametrize("share", [0.0, newton.NEARBY, 1e-3])
+def test_a_tangent_that_is_wanted_is_taken_a_little_before_the_equilibrium(case, monkeypatch, share):
+    """It takes the last steps; a derivative is about as wrong as its residual was, and no solve takes longer."""
+    problem, load, ratios, _, tangent = case
+    softer = ratios.with_values(0.7 * ratios.values)
+    monkeypatch.setattr(newton, "NEARBY", 0.0)
+    by_chord, _ = problem.solve_linearised(load, softer, tangent)
+    monkeypatch.setattr(newton, "NEARBY", share)
+    there, near = problem.solve_linearised(load, softer, tangent)
+    assert there.residual_norm <= there.tolerance
+    assert there.factorisations == by_chord.factorisations
+    assert there.iterations <= by_chord.iterations - (2 if share else 0)
+    wanted = problem.linearise(by_chord, load, softer).forward(ratios.groups)
+    off = np.abs(near.forward(ratios.groups) - wanted).max() / np.abs(wanted).max()
+    assert off < max(share, 1e-9)
 
 
 def test_eq7_adjoint_equals_forward(case):

@@ -314,20 +314,22 @@ def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch
         def fails(*args, error=error, **kwargs):
             raise error
 
-        monkeypatch.setattr(assessment, "fit_from_coarse", fails)
+        monkeypatch.setattr(assessment, "fit_pushes", fails)
         assert single_ratio(pushes) is None
     monkeypatch.setattr(
-        assessment, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, status=FitStatus.STALLED)
+        assessment, "fit_pushes", lambda *args, **kwargs: replace(finished.fit, status=FitStatus.STALLED)
     )
     assert single_ratio(pushes) is None
     asked = []
-    fit = lambda *args, **kwargs: asked.append((*args, kwargs)) or finished.fit  # noqa: E731
-    monkeypatch.setattr(assessment, "fit_from_coarse", fit)
+    fit = lambda *args, **kwargs: asked.append((args, kwargs)) or finished.fit  # noqa: E731
+    monkeypatch.setattr(assessment, "fit_pushes", fit)
     assert single_ratio(pushes) == Model.of(finished.fit)
-    single_ratio(pushes, 0.1, pushes, "paper")
-    wanted = ((None, 1.0, "weighed"), (pushes, 0.1, "paper"))
+    single_ratio(pushes, 0.1, "paper", {"a": 1.0}, ())
     rest = {"extent": "estimate", "close_sd": assessment.SINGLE_SD}
-    assert asked == [(c, pushes, ("everything",), {"everything": start}, how, rest) for c, start, how in wanted]
+    assert asked == [
+        ((pushes, ("everything",), {"everything": start}, how), rest | {"start_nuisances": known, "starts": states})
+        for start, how, known, states in ((1.0, "weighed", None, None), (0.1, "paper", {"a": 1.0}, ()))
+    ]
 
 
 def test_what_is_written_of_a_whole_subject(finished):

@@ -75,6 +75,7 @@ def fit_stiffness(
     population: str | None = None,
     rough: StiffnessFit | None = None,
     close_sd: float = CLOSE_SD,
+    starts: Sequence[TorsoState] | None = None,
 ) -> StiffnessFit:
     """Stiffness ratios whose equilibria show what the radiographs show (Eq. 8).
 
@@ -102,6 +103,8 @@ def fit_stiffness(
         ratios are flat in log, up to the smoothness of neighbouring levels'.
     rough : a fit of the same trials and ratios on a coarser mesh, with the shape of its likelihood.
     close_sd : the weighed search ends once a step is shorter than so many standard deviations.
+    starts : states of the loaded trials to solve the start of a weighed fit from, in place of the default ratios'
+        equilibria, which are then not solved; the start's ratios come first otherwise, its nuisances then.
 
     Raises
     ------
@@ -120,11 +123,11 @@ def fit_stiffness(
     asked = _asked(problems, trials, groups, orientation, observer, priors, geometry, taped, population)
     trial_set = asked.trial_set
     first = _start(names, start, bounds)
-    default = _default_point(trial_set)
+    default = None if starts is not None else _default_point(trial_set)
     limits = (float(np.log(bounds[0])), float(np.log(bounds[1])))
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
-        start_point = _start_point(asked, first, nuisances, default, limits)
+        start_point = _start_point(asked, first, nuisances, default, limits, starts)
         end = _weighed_end(asked, start_point, limits, rough, extent, max_iterations, close_sd)
     else:
         end = _paper_end(trial_set, first, default, limits, max_iterations)
@@ -326,7 +329,16 @@ def _start_point(
     nuisances: Floats,
     default: Evaluation | None,
     limits: tuple[float, float],
+    starts: Sequence[TorsoState] | None,
 ) -> WeighedPoint:
+    if starts is not None:
+        try:
+            start = asked.solve(first, nuisances, starts=starts, most_factorisations=MOST_FACTORISATIONS)
+        except EquilibriumError:
+            asked.trial_set.note(first, float("nan"), None, False)
+        else:
+            asked.trial_set.note(start.log_ratios, float("nan"), start.evaluation, True)
+            return start
     near = None if default is None else asked.at(default)
     # A start may lie where tissue creases, and take hundreds of factorisations; nearer to the default it does not.
     for share in NEARER_STARTS if first.any() else ():

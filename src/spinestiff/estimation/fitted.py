@@ -126,7 +126,7 @@ class StiffnessFit(ShortRepr):
     open_ends : name -> whether the lower and the upper end is the fit's bound, beyond which the data allow more.
     at_bound : name -> at its bound.
     rmse_mm, default_rmse_mm : training RMSE at the patient plane, fitted and with all ratios 1 (NaN without
-        an equilibrium there).
+        an equilibrium there, or where the fit's start was solved from known states).
     residuals : one a loaded trial, simulated minus measured.
     equilibria, default_equilibria : one a loaded trial.
     history : every evaluation. cost : what it took.
@@ -185,7 +185,7 @@ class StiffnessFit(ShortRepr):
     def default_words(self) -> str:
         """The default's training RMSE, if it has an equilibrium."""
         found = self.default_rmse_mm
-        return "default: no equilibrium" if np.isnan(found) else f"default {found:.2f} mm"
+        return "default: no equilibrium known" if np.isnan(found) else f"default {found:.2f} mm"
 
     def __str__(self) -> str:
         lines = [f"{self.status.name}: training RMSE {self.rmse_mm:.2f} mm ({self.default_words})"]

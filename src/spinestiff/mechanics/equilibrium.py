@@ -18,6 +18,7 @@ from spinestiff.mechanics.newton import Run
 from spinestiff.mechanics.result import Equilibrium, NewtonStep, OnNewtonStep, SolveStatus
 from spinestiff.mechanics.sensitivity import Linearisation
 from spinestiff.mechanics.system import System
+from spinestiff.parallel import blas_on_one_thread
 
 __all__ = ["Equilibrium", "EquilibriumProblem", "NewtonStep", "OnNewtonStep", "SolveStatus"]
 
@@ -92,14 +93,15 @@ class EquilibriumProblem(System):
             state, factor = self.placed(start.state), start.new_frame_factor()
         else:
             state = rest if start is None else self.placed(self._checked(start))
-        found = run.newton(load, state, factor)
-        if self._held_as_in(rest, state):
-            if run.wants_more(found) and state is not rest:
-                found = run.newton(load, rest)
+        with blas_on_one_thread():
+            found = run.newton(load, state, factor)
+            if self._held_as_in(rest, state):
+                if run.wants_more(found) and state is not rest:
+                    found = run.newton(load, rest)
+                if run.wants_more(found):
+                    found = run.in_steps(load)
             if run.wants_more(found):
-                found = run.in_steps(load)
-        if run.wants_more(found):
-            found = run.descend(load, found.state if found.smallest_j > 0.0 else state)
+                found = run.descend(load, found.state if found.smallest_j > 0.0 else state)
         fault = fault_of(self, found, run.stiffness, self.all_terms(load))
         found = replace(found, history=tuple(run.history), factorisations=run.factorisations, fault=fault)
         _log.debug(

@@ -48,6 +48,9 @@ MOST_PRODUCTS, GAIN, MOST_DOUBLINGS, LONGER, PRODUCTS_A_FACTORISATION = 10, 1e-3
 NEAR = 0.1
 # A chord step costs a twentieth of a factorisation and they grow better: a factor is kept while this many may do.
 CHORD_STEPS = 25
+# A tangent that is wanted at an equilibrium is taken where the residual is below this share of the load: a derivative
+# is then as wrong as that.
+NEARBY = 1e-6
 # A tangent counts as positive definite without a factor of its own if no Ritz value of it against a factorised one is
 # below this after so many Lanczos steps from a random vector.
 LEAST_RITZ = 0.1
@@ -57,7 +60,8 @@ LANCZOS_STEPS = 6
 class Run:
     """One solve: its attempts share the observer and the count of what they cost.
 
-    ``always_factorise``: the tangent at an equilibrium is factorised in any case, since it is wanted (``tangent``).
+    ``always_factorise``: the tangent at an equilibrium is factorised in any case, since it is wanted (``tangent``), or
+    one a little before it (``NEARBY``).
     ``largest_turn``: rad; the solve ends where a bone has turned farther from its place at rest.
     ``most_factorisations``: what all attempts may take (``work``); the solve ends after the step that has exceeded it.
     """
@@ -80,7 +84,7 @@ class Run:
         self.factorisations = 0
         self._products = 0  # of tangents with vectors, on descent
         self.history: list[NewtonStep] = []
-        self.tangent: Factorised | None = None  # at the equilibrium, once it was factorised there
+        self.tangent: Factorised | None = None  # at the equilibrium, once it was factorised there or next to it
         self._projection = 1.0  # how much of the projection the next indefinite tangent gets
         if tolerance is not None and not 0.0 < tolerance < np.inf:
             raise EquilibriumError(f"tolerance {tolerance} N; wanted a finite residual above 0")
@@ -107,14 +111,18 @@ class Run:
             return at.ended(SolveStatus.INVERTED_START)
         predicted: Floats | None = None
         springs = self.system.supports.springs
-        chord = Chord(at)
+        chord, wanted = Chord(at), self._always_factorise
+        self.tangent = None
         for iteration in range(self.max_iterations + 1):
             if at.residual <= at.tolerance:
                 return at.ended(self._judged(at, factor), iteration)
             if iteration == self.max_iterations:
                 break
             if factor is not None and chord.spent(at):
-                at, factor, predicted = chord.best, None, None
+                at, factor, predicted, self.tangent = chord.best, None, None, None
+            elif wanted and at.residual <= NEARBY * load.size:
+                # It takes the last steps; so the chord's last ones, which gain least, are spared.
+                factor, chord, wanted = self._wanted(at) or factor, Chord(at), False
             fresh = factor is None
             try:
                 if factor is None:
@@ -285,12 +293,27 @@ class Run:
                 return SolveStatus.CONVERGED
         except EquilibriumError:
             pass  # its own factor has to tell
+        if factor is not None and self.tangent is not None and factor.factor is self.tangent.factor:
+            return SolveStatus.CONVERGED  # it is near this one, by which the last steps were taken
         try:
             self.factorisations += 1
             self.tangent = self.system.tangent(at.state, self.stiffness, at.terms)
         except EquilibriumError:
             return SolveStatus.SADDLE
         return SolveStatus.CONVERGED if self.tangent.factor.positive_definite else SolveStatus.SADDLE
+
+    def _wanted(self, at: Iterate) -> FrameFactor | None:
+        """The tangent at a place that is as good as the equilibrium, which is to be left with it; None where it isn't
+        positive definite."""
+        self.factorisations += 1
+        try:
+            tangent = self.system.tangent(at.state, self.stiffness, at.terms)
+        except EquilibriumError:
+            return None
+        if not tangent.factor.positive_definite:
+            return None
+        self.tangent = tangent
+        return FrameFactor(at.frame, tangent.factor, self.system.held)
 
     def _least_ritz(self, at: Iterate, factor: FrameFactor) -> float:
         """Smallest Ritz value of K0^-1 K: about its smallest eigenvalue, which is above 0 where K is as K0 is.

@@ -296,7 +296,9 @@ def _add_mode(blocks, size, mode, gradients):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True)
 def _diagonalise(a, v):  # type: ignore[no-untyped-def]
     """Jacobi's rotations: eigenvalues of a symmetric (3, 3) onto its diagonal, eigenvectors into the columns of v."""
-    v[:] = np.eye(3)
+    for i in range(3):  # a slice's assignment would take seconds to compile
+        for j in range(3):
+            v[i, j] = 1.0 if i == j else 0.0
     for _ in range(30):
         if a[0, 1] ** 2 + a[0, 2] ** 2 + a[1, 2] ** 2 <= 1e-32 * (a[0, 0] ** 2 + a[1, 1] ** 2 + a[2, 2] ** 2):
             break

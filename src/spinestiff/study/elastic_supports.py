@@ -145,11 +145,13 @@ def support_stiffness(
         return SupportStiffness(belt, pad)
     # One push turns the pelvis most and another moves the shoulder most, or one of the two is free: what either support
     # must exert then depends on how the other one gives.
-    for _ in range(max_rounds):
-        before = belt, pad
-        belt = max(0.0, places.belt(turning, pad))
-        pad = min(max(0.0, places.pad(shifting, belt)), PAD)
-        if np.allclose(before, (belt, pad), rtol=UNCHANGED, atol=0.0):
+    for round_ in range(max_rounds):
+        # Where one of them stays, so does the other one, which was found with it.
+        before, belt = belt, max(0.0, places.belt(turning, pad))
+        if round_ and np.isclose(before, belt, rtol=UNCHANGED, atol=0.0):
+            return SupportStiffness(belt, pad)
+        before, pad = pad, min(max(0.0, places.pad(shifting, belt)), PAD)
+        if np.isclose(before, pad, rtol=UNCHANGED, atol=0.0):
             return SupportStiffness(belt, pad)
     raise EquilibriumError(
         f"found no springs with which the supports give {give.obliquity_deg:g} degrees and {give.shoulder_mm:g} mm "

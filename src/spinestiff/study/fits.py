@@ -24,23 +24,22 @@ def fit_from_coarse(
     say: Observer = lambda line: None,
     extent: Extent = "everything",
     population: str | None = None,
-    close_sd: float = CLOSE_SD,
 ) -> StiffnessFit:
     """The fit of the training frames, begun where the same trials on a coarse torso end; see ``fit_pushes``."""
     known: Mapping[str, float] = {}
     rough: StiffnessFit | None = None
     if coarse is not None:
         say("on the coarse mesh first")
-        shape: Extent = "estimate" if extent == "estimate" else "shape"
-        near = max(close_sd, ROUGHLY_SD)
         try:
-            rough = fit_pushes(coarse, names, start, method, observer, shape, population=population, close_sd=near)
+            rough = fit_pushes(
+                coarse, names, start, method, observer, "shape", population=population, close_sd=ROUGHLY_SD
+            )
         except NoMinimum as error:
             say(f"no fit on the coarse mesh ({error})")
         else:
             start, known = rough.ratios.as_dict(), rough.standard_nuisances
         say("on the fine mesh")
-    return fit_pushes(pushes, names, start, method, observer, extent, known, population, rough, close_sd)
+    return fit_pushes(pushes, names, start, method, observer, extent, known, population, rough)
 
 
 def rise_of(
@@ -78,6 +77,7 @@ def fit_pushes(
     population: str | None = None,
     rough: StiffnessFit | None = None,
     close_sd: float = CLOSE_SD,
+    starts: Sequence[TorsoState] | None = None,
 ) -> StiffnessFit:
     """The fit of the training frames; arguments and errors are those of ``estimation.fit.fit_stiffness``."""
     return fit_stiffness(
@@ -96,4 +96,5 @@ def fit_pushes(
         population=population,
         rough=rough,
         close_sd=close_sd,
+        starts=starts,
     )

@@ -21,6 +21,7 @@ from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.observer import Observer
+from spinestiff.parallel import in_parallel
 from spinestiff.personalise.measured_skin import TrunkSize
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
@@ -162,14 +163,17 @@ def personalise_step(visit: Visit, say: Observer) -> None:
         level: TrunkSize(size.breadth_mm, size.depth_mm) for level, size in subject.record.trunk.items()
     }
     shape = partial(personalise, pictures=pictures, pedicles=pedicles, trunk=trunk, scan=scan)
-    shaped = shape(template, observer=say, finer=finer)
+    bodies = [partial(shape, template, observer=say, finer=finer)]
+    if START in outputs_of_shape(visit):
+        say("shaping a coarse torso, too, which the estimate starts on")
+        bodies.append(partial(shape, subject_template(subject.record, "coarse"), finer=fine))
+    shaped, *coarse = in_parallel(lambda body: body(), bodies)
     for warning in shaped.warnings:
         say(warning)
     visit.subject.results.mkdir(exist_ok=True)
     write_torso(visit.file("torso.npz"), shaped.torso)
-    if START in outputs_of_shape(visit):
-        say("shaping a coarse torso, too, which the estimate starts on")
-        write_torso(visit.file(START), shape(subject_template(subject.record, "coarse"), finer=fine).torso)
+    for one in coarse:
+        write_torso(visit.file(START), one.torso)
     if shaped.scan is not None:
         from spinestiff.anatomy.picture import draw_scan
 
@@ -238,14 +242,14 @@ def assess_step(visit: Visit, say: Observer) -> None:
     fit = estimated_model(estimate, pushes)
     models = {"default": Model(), "fit": fit}
     say("fitting the one-ratio baseline")
-    coarse = load_start(visit, estimate.orientation, estimate.method)
+    known = read_solved(result_path(subject, "training.npz", "estimate"))
+    starts = [known[t.push, t.frame, "fit"].state for t in pushes.training]
     middle = float(np.exp(np.mean(np.log(list(estimate.values.values())))))
-    single = single_ratio(pushes, middle, coarse, estimate.method)  # type: ignore[arg-type]
+    single = single_ratio(pushes, middle, estimate.method, fit.known, starts)  # type: ignore[arg-type]
     if single is not None:
         models["single_ratio"] = single
     if visit.truth is not None:
         models["truth"] = Model(torso_ratios(pushes.torso, read_truth(visit.truth)), fit.known)
-    known = read_solved(result_path(subject, "training.npz", "estimate"))
     predictions = with_fitted_supports(predict(pushes, models, known, say), fit)
     expected: dict[tuple[str, int], Forecast] = {}
     if estimate.tracking_factor is not None:
@@ -257,7 +261,6 @@ def assess_step(visit: Visit, say: Observer) -> None:
     assessment = Assessment(frames=assess(predictions, expected), notes=tuple(_support_notes(visit, predictions)))
     comparison = None
     if visit.truth is not None:
-        starts = [known[t.push, t.frame, "fit"].state for t in pushes.training]
         comparison = compare_with_truth(estimate, pushes, visit.truth, starts)
     write_solved(visit.file("predictions.npz"), stored(predictions))
     write_text(visit.file(ASSESSMENT_FILE), assessment_csv(assessment))
