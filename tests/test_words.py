@@ -1,4 +1,4 @@
-"""Counted nouns and paths."""
+"""Counted nouns, paths and what files hold."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from spinestiff.subject.annotation_record import Annotation
-from spinestiff.words import counted, pasted, push_named, sentence
+from spinestiff.words import counted, pasted, printable, push_named, sentence
 
 
 @pytest.mark.parametrize(
@@ -58,3 +58,17 @@ def test_a_message_about_one_vertebra_says_so():
     images = {"rest/frontal": {"vertebrae": {"T5": square}}}
     with pytest.raises(ValueError, match="found 1 vertebra, wanted at least 8"):
         Annotation.model_validate({"schema_version": 1, "images": images})
+
+
+@pytest.mark.parametrize(
+    ("text", "most", "shown"),
+    [
+        ("Kraft in N", 60, "Kraft in N"),
+        ("a\x1b[31mb\n", 60, "a?[31mb?"),
+        ("abcdefgh", 8, "abcdefgh"),
+        ("abcdefghi", 8, "abcde..."),
+        ("", 8, ""),
+    ],
+)
+def test_what_a_file_holds_is_shown_without_what_a_terminal_obeys(text, most, shown):
+    assert printable(text, most) == shown

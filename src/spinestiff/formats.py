@@ -13,9 +13,8 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from spinestiff.errors import SubjectError
-from spinestiff.words import counted
+from spinestiff.words import counted, printable
 
-_LONGEST_SHOWN = 60
 _CURLY = ("\u201c", "\u201d", "\u201e", "\u2018", "\u2019")
 """Quotes as word processors set them."""
 _MOST_DIGITS = 20
@@ -124,7 +123,7 @@ def parse_csv(
         if sorted(column for column in header if column not in optional) != sorted(columns) or (
             len(set(header)) < len(header)
         ):
-            shown = "".join(c if c.isprintable() else "?" for c in ",".join(header)[:_LONGEST_SHOWN])
+            shown = printable(",".join(header))
             odd = _odd_columns(header, columns, optional)
             raise SubjectError(f"{name}: row {reader.line_num}: columns {shown}, wanted {wanted}{odd}")
         at = [header.index(column) if column in header else None for column in (*columns, *optional)]
@@ -190,7 +189,7 @@ def _odd_columns(header: Sequence[str], columns: Sequence[str], optional: Sequen
     if not known & set(header):
         return "; the first row has to name the columns"
     lacking = ",".join(column for column in columns if column not in header)
-    foreign = ",".join(column for column in header if column not in known)[:_LONGEST_SHOWN] if not lacking else ""
+    foreign = printable(",".join(column for column in header if column not in known)) if not lacking else ""
     return f"; lacking: {lacking}" if lacking else f"; leave out: {foreign}" if foreign else ""
 
 

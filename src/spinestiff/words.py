@@ -1,4 +1,4 @@
-"""Counted nouns, names of pushes, paths and words that were meant, for messages."""
+"""Counted nouns, names of pushes, paths, words that were meant and what files hold, for messages."""
 
 from __future__ import annotations
 
@@ -38,6 +38,12 @@ def pasted(path: Path) -> str:
     if os.name != "nt" and _MEANS_MORE.search(text):
         return shlex.quote(text)
     return f'"{text}"' if " " in text or _MEANS_MORE.search(text) else text
+
+
+def printable(text: str, most: int = 60) -> str:
+    """What a file holds as a message may show it: at most so many characters, "?" for those that can't be printed."""
+    shown = "".join(c if c.isprintable() else "?" for c in text[:most])
+    return shown if len(text) <= most else shown[: most - 3] + "..."
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -33,6 +33,8 @@ KINDS = tuple(joint.kind for joint in JOINTS)  # of the whole torso's joints, ro
 DEFAULT_YOUNG_MPA = 0.15
 DEFAULT_POISSON = 0.45
 
+# A joint's three shifts and three turns, as columns of the stiffness table.
+JOINT_AXES = ("x", "y", "z", "alpha", "beta", "gamma")
 # The six directions of an intervertebral joint (paper 3.1), clinical name -> column of the stiffness table.
 DIRECTIONS = {
     "lateral_shear": 0,

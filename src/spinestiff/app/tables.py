@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.study.wording import (
     PLAIN,
     badge,
@@ -27,7 +28,6 @@ from spinestiff.study.wording import (
     strongest_priors,
     unknown_title,
 )
-from spinestiff.subject.outcome_parts import HALF_WIDTH_95
 
 if TYPE_CHECKING:
     from spinestiff.study.repeatability import Repeatability

@@ -16,6 +16,7 @@ from pathlib import Path
 from spinestiff.cohort.places import LOCK_FILE
 from spinestiff.errors import InUseError, SubjectError
 from spinestiff.files import trouble
+from spinestiff.words import printable
 
 _LONGEST = 200
 
@@ -63,9 +64,9 @@ def _take(target: Path, held: int, shared: bool) -> None:
             owner = "single participants by --index"
         except BlockingIOError:
             owner = os.read(held, _LONGEST).decode("utf-8", "replace").strip()
-        shown = "".join(c if c.isprintable() else "?" for c in owner)
         raise InUseError(
-            f"{target}: another run of spinestiff cohort is at work here ({shown}); wait for its end"
+            f"{target}: another run of spinestiff cohort is at work here ({printable(owner, _LONGEST)}); "
+            "wait for its end"
         ) from None
     except OSError:
         pass  # a file system without locks

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import LARGEST_JSON, no_folder, read_text
-from spinestiff.words import counted
+from spinestiff.words import counted, printable
 
 if TYPE_CHECKING:
     from _csv import Reader
@@ -24,7 +24,6 @@ _OWN = ("cohort", "ledger")
 """Beginnings of the names that a cohort's own files have beside the participants' folders."""
 _WINDOWS = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?|.*\.", re.IGNORECASE)
 """Names that some systems can't make a folder of."""
-MOST_SHOWN = 60
 
 
 def read_participants(folder: Path) -> tuple[str, ...]:
@@ -43,7 +42,7 @@ def read_participants(folder: Path) -> tuple[str, ...]:
     reader = csv.reader(io.StringIO(read_text(path, LARGEST_JSON), newline=""), delimiter="\t", quoting=csv.QUOTE_NONE)
     header = [column.strip() for column in next(_rows(reader, path), [])]
     if header.count(COLUMN) != 1:
-        shown = "".join(c if c.isprintable() else "?" for c in ", ".join(header)[:MOST_SHOWN])
+        shown = printable(", ".join(header))
         raise SubjectError(
             f"{path}: row 1: found columns {shown or 'none'}, wanted one {COLUMN}; separate columns by tabs"
         )
@@ -75,10 +74,9 @@ def _rows(reader: Reader, path: Path) -> Iterator[list[str]]:
 
 def _check_name(where: str, name: str) -> None:
     if not _NAME.fullmatch(name) or _WINDOWS.fullmatch(name):
-        shown = "".join(c if c.isprintable() else "?" for c in name[:MOST_SHOWN])
         raise SubjectError(
-            f"{where}: {COLUMN} '{shown}': wanted 1 to 64 letters (A to Z), digits, '.', '_' or '-', the first a "
-            "letter or digit, the last no '.'"
+            f"{where}: {COLUMN} '{printable(name)}': wanted 1 to 64 letters (A to Z), digits, '.', '_' or '-', "
+            "the first a letter or digit, the last no '.'"
         )
     if name.casefold().split(".")[0] in _OWN:
         raise SubjectError(f"{where}: {COLUMN} '{name}' is the name of a file of the cohort itself; choose another")

@@ -14,8 +14,8 @@ from spinestiff.cohort.group import Member
 from spinestiff.cohort.hierarchy import hierarchy
 from spinestiff.cohort.row import Row
 from spinestiff.cohort.statistics import Shrunken, StiffnessStatistics, counted_rows
+from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.study.report.figures import FIT, MEASURED, STYLE, plain_ticks
-from spinestiff.subject.outcome_parts import HALF_WIDTH_95
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

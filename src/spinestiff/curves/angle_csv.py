@@ -6,10 +6,11 @@ import csv
 import io
 from collections.abc import Sequence
 
-from spinestiff.curves.changes import NORMAL_95, forms_in_words
+from spinestiff.curves.changes import forms_in_words
 from spinestiff.curves.cobb import REGIONS, Curve
 from spinestiff.curves.corner_csv import guarded
 from spinestiff.curves.pushes import FORMS, CobbFrame
+from spinestiff.normal import HALF_WIDTH_95
 
 COLUMNS = (
     "image", "status", "definition", "largest", "degrees", "half_width95", "upper_level", "lower_level", "apex",
@@ -51,5 +52,5 @@ def _changes(frame: CobbFrame) -> list[str]:
     sds = change.sds or (None, None, None)
     cells = []
     for form, sd, words in zip(FORMS, sds, forms_in_words(change).values()):
-        cells += [f"{getattr(change, form):.2f}", "" if sd is None else f"{NORMAL_95 * sd:.2f}", words]
+        cells += [f"{getattr(change, form):.2f}", "" if sd is None else f"{HALF_WIDTH_95 * sd:.2f}", words]
     return cells

@@ -13,8 +13,8 @@ from spinestiff.curves.tilts import CobbChange, cobb_change, tilts_from_points
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
+from spinestiff.normal import HALF_WIDTH_95
 
-NORMAL_95 = 1.96
 LEAST_ERROR_MM = 0.004
 """Of a tracked corner: stored qualities have three digits, so that smaller predicted errors read as none."""
 
@@ -82,7 +82,7 @@ def change_between(
 def change_words(degrees: float, sd: float | None, levels: str) -> str:
     """A change of a Cobb angle, e.g. "−10.4° ± 1.2° (T6–T11)"; ± is half the 95 % interval, none of a model's."""
     size = f"{round(degrees, 1) + 0.0:+.1f}".replace("-", "−").replace("+0.0", "0.0")
-    around = "" if sd is None else f" ± {NORMAL_95 * sd:.1f}°"
+    around = "" if sd is None else f" ± {HALF_WIDTH_95 * sd:.1f}°"
     return f"{size}°{around}" + (f" ({levels})" if levels else "")
 
 

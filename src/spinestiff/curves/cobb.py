@@ -18,6 +18,7 @@ from spinestiff.curves.corner_files import ImageCorners, Side, UnreadableImage
 from spinestiff.curves.corner_order import in_order
 from spinestiff.curves.tilts import CobbAngle, EndplateMethod, SpineTilts, cobb_angle, tilts_from_points
 from spinestiff.errors import SpinestiffError
+from spinestiff.normal import HALF_WIDTH_95
 
 Definition = Literal["endplate", "midline"]
 DEFINITIONS: dict[Definition, EndplateMethod] = {"endplate": "endplates", "midline": "midline"}
@@ -64,7 +65,7 @@ class Curve:
     @property
     def half_width_deg(self) -> float:
         """Half the width of the angle's 95 % interval."""
-        return 1.96 * self.sd_deg
+        return HALF_WIDTH_95 * self.sd_deg
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from spinestiff.formats import parse_json, plain_number
 from spinestiff.subject.annotation_record import FURTHER_VIEW, Annotation
 from spinestiff.subject.record_reading import complaint_of
 from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION
+from spinestiff.words import printable
 
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
 MARKUPS_SUFFIX = ".mrk.json"
@@ -268,7 +269,7 @@ def _read_markups(path: Path, content: object) -> tuple[ImageCorners | Unreadabl
         rows = []
         for i, (label, (x, y)) in enumerate(zip(entry.labels, entry.points.tolist())):
             level, _, corner = label.strip().partition(" ")
-            rows.append(_Row(f"point {i + 1} '{_short(label)}'", name, level, corner.strip(), (x, y)))
+            rows.append(_Row(f"point {i + 1} '{printable(label)}'", name, level, corner.strip(), (x, y)))
         side: Side | None = "right" if entry.plane == "coronal" else None
         found += _gathered(rows, path, "Slicer markups", entry.unit, side)
     return tuple(found)
@@ -319,15 +320,17 @@ def _gathered(
 def _checked(row: _Row) -> tuple[str, str, tuple[float, float]]:
     level, corner = row.level.upper(), row.corner.lower()
     if level not in VERTEBRAE:
-        raise _ImageProblem(f"{row.where}: unknown level '{_short(row.level)}', wanted T1 to T12, L1 to L5")
+        raise _ImageProblem(f"{row.where}: unknown level '{printable(row.level)}', wanted T1 to T12, L1 to L5")
     if corner not in CORNERS:
-        raise _ImageProblem(f"{row.where}: unknown corner '{_short(row.corner)}', wanted one of {', '.join(CORNERS)}")
+        raise _ImageProblem(
+            f"{row.where}: unknown corner '{printable(row.corner)}', wanted one of {', '.join(CORNERS)}"
+        )
     place = []
     for column, value in zip(("x", "y"), row.place):
         if isinstance(value, str) and math.isnan(plain_number(value)):
-            raise _ImageProblem(f"{row.where}: {column} is '{_short(value)}', wanted a number (decimal point)")
+            raise _ImageProblem(f"{row.where}: {column} is '{printable(value)}', wanted a number (decimal point)")
         if abs(float(value)) > FARTHEST:
-            found = _short(str(value))
+            found = printable(str(value))
             raise _ImageProblem(f"{row.where}: {column} is {found}, wanted at most {FARTHEST:g} either way")
         place.append(float(value))
     return level, corner, (place[0], place[1])
@@ -386,8 +389,3 @@ def _name_problem(name: str) -> str:
     if len(name) > LONGEST_NAME:
         return f"has {len(name)} characters, wanted at most {LONGEST_NAME}"
     return "" if name.isprintable() else "holds characters that can't be printed"
-
-
-def _short(text: str, longest: int = 60) -> str:
-    shown = "".join(c if c.isprintable() else "?" for c in text)
-    return shown if len(shown) <= longest else shown[: longest - 3] + "..."

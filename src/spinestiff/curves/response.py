@@ -20,11 +20,11 @@ from spinestiff.curves.cobb import tilt_sds, usual_noise
 from spinestiff.curves.tilts import SpineTilts, cobb_angle, cobb_change, tilts_from_points
 from spinestiff.errors import SpinestiffError
 from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
+from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse
 
-NORMAL_95 = 1.96
 CHOSEN_95 = 3.5
-"""As ``NORMAL_95`` for the largest of a spine's 136 pairs: which pair is largest is chosen by noise, too."""
+"""As ``HALF_WIDTH_95`` for the largest of a spine's 136 pairs: which pair is largest is chosen by noise, too."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def push_response(frames: Sequence[FrameCorners], rest: SpineTilts, gauge: Gauge
     return PushResponse(
         force_n=force,
         tilt=_response(_followed(frames, tilt_levels), most, gauge, CHOSEN_95),
-        curve=_response(curve, most, gauge, NORMAL_95),
+        curve=_response(curve, most, gauge, HALF_WIDTH_95),
         flexibility=_flexibility(curve, most),
     )
 
@@ -199,7 +199,7 @@ def _inverse(slope: float, of_corners: float, of_gauge: float, chosen: float) ->
 
     ``chosen`` counts the first of them by which the slope may lie below: noise that chose the angle has raised it.
     """
-    up, down = (float(np.hypot(times * of_corners, NORMAL_95 * of_gauge)) for times in (NORMAL_95, chosen))
+    up, down = (float(np.hypot(times * of_corners, HALF_WIDTH_95 * of_gauge)) for times in (HALF_WIDTH_95, chosen))
     low = 1.0 / (slope + up)
     if slope <= down:
         return ForcePerDegree(value=None, low=low, high=None)
@@ -217,7 +217,7 @@ def _flexibility(found: _Followed, most: FrameCorners) -> Flexibility:
     """One minus the angle under force over that at rest, with Fieller's interval of a ratio."""
     first, last = found.unloaded, found.frames.index(most)
     rest, pushed = float(found.angle[first]), float(found.angle[last])
-    c = NORMAL_95**2 * found.covariance
+    c = HALF_WIDTH_95**2 * found.covariance
     # The ratios q at which pushed - q rest lies within its error: a q^2 - 2 b q + d <= 0.
     a, b, d = rest**2 - c[first, first], rest * pushed - c[first, last], pushed**2 - c[last, last]
     if a <= 0.0:

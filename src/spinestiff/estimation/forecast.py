@@ -24,8 +24,8 @@ from spinestiff.estimation.channels import CHANNELS, Channels
 from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.weighed import WeighedProblem
+from spinestiff.normal import HALF_WIDTH_95
 
-NORMAL_95 = 1.959964
 # Of a log ratio, as of one anywhere within a fit's bounds: one that nothing shows must not stop the rest.
 LEAST_PRECISION = 0.02
 
@@ -61,7 +61,7 @@ class Forecast(ShortRepr):
     @property
     def inside95(self) -> float:
         """Share of corner coordinates that lie inside their 95 % intervals."""
-        return float(np.mean(np.abs(self.corner_errors) <= NORMAL_95 * self.corner_sds))
+        return float(np.mean(np.abs(self.corner_errors) <= HALF_WIDTH_95 * self.corner_sds))
 
     def turn(self, upper: int, lower: int) -> tuple[float, float, float]:
         """rad, the turn of vertebra ``upper`` against ``lower`` (rows of this radiograph), simulated minus measured:

@@ -15,6 +15,7 @@ from spinestiff.anatomy.regions import AT, levels_of
 from spinestiff.anatomy.stiffness import INTERVERTEBRAL_BENDING, ParameterGroup, parameter_group
 from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import FitError
+from spinestiff.normal import HALF_WIDTH_95
 
 SMOOTHNESS = "level smoothness"
 
@@ -134,7 +135,7 @@ def _population(groups: Sequence[ParameterGroup], kinds: tuple[str, ...], name: 
             f"{int((~covered).sum())} of {len(covered)} levels at their default"
         )
     people = POPULATIONS[name]
-    low, middle, high = (float(np.exp(people.mean + z * people.sd)) for z in (-1.96, 0.0, 1.96))
+    low, middle, high = (float(np.exp(people.mean + z * people.sd)) for z in (-HALF_WIDTH_95, 0.0, HALF_WIDTH_95))
     text = (
         f"the levels' lateral bending, as geometric mean, is {middle:.2g} (95 % {low:.2g} to {high:.2g}) times the "
         f"default ({people.source}); tissue has no such prior"

@@ -9,7 +9,7 @@ import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.names import INTERVERTEBRAL
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import DIRECTIONS
+from spinestiff.anatomy.stiffness import DIRECTIONS, JOINT_AXES
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
@@ -20,7 +20,6 @@ from spinestiff.mechanics.system import System
 from spinestiff.mechanics.terms import Term
 from spinestiff.mechanics.tissue import QUADRATURE, rest_jacobians
 
-JOINT_AXES = ("x", "y", "z", "alpha", "beta", "gamma")
 CLINICAL = {column: name.replace("_", " ") for name, column in DIRECTIONS.items()}
 
 

@@ -27,6 +27,7 @@ from scipy.sparse.csgraph import connected_components
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import cross_matrix
+from spinestiff.anatomy.stiffness import JOINT_AXES
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
@@ -47,7 +48,6 @@ from spinestiff.mechanics.terms import Term, TermBlocks
 ZERO, ALL_ZERO = 1e-9, 1e-11
 # Of (dt, L dw), in which twists are, to (dt, dw), in which Hessians are.
 _SCALE = np.array([1.0, 1.0, 1.0, *3 * [1.0 / ROTATION_LENGTH]])
-JOINT_AXES = ("x", "y", "z", "alpha", "beta", "gamma")
 WORLD_AXES = ("lateral (x)", "vertical (y)", "AP (z)")
 LONGEST_LIST = 5  # names, and mechanisms, in one message
 

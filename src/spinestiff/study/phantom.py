@@ -36,9 +36,9 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import PUSH_DIRECTION, LoadCase, no_load
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
+from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.study.judgement.limits import LIMITS
 from spinestiff.study.refits import converged
-from spinestiff.subject.outcome_parts import HALF_WIDTH_95
 from spinestiff.subject.phantom_record import CORNERS_FILE, PHANTOM_FILE, FrameRecord, JointRecord, PhantomRecord
 from spinestiff.subject.record_reading import read_record
 

@@ -10,8 +10,9 @@ from spinestiff.anatomy.stiffness import NMM_PER_NM, ParameterGroup, StiffnessRa
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.estimation.profiles import WIDTH_FACTOR
+from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.subject.estimate_outcome import PlainStiffness, RatioEstimate
-from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
+from spinestiff.subject.outcome_parts import Quantity
 
 
 def plain_stiffness(

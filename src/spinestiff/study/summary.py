@@ -9,10 +9,11 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
+from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.study.wording import known_word
 from spinestiff.subject.assessment_outcome import PREDICTORS, Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
-from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
+from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.outcomes import Responses
 
 RESPONSE_FILE, ESTIMATE_FILE, ASSESSMENT_FILE = "response.csv", "estimate.csv", "assessment.csv"

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterable, Sequence
 
 from spinestiff.anatomy.regions import AT, is_beside_whole
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, FEWEST_CORNERS, LOWEST_QUALITY
+from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.subject.assessment_outcome import HeldOutFrame
 from spinestiff.subject.estimate_outcome import BudgetRecord, CombinationRecord, Estimate, PriorChangeRecord
 from spinestiff.subject.geometry_outcome import GeometryRecord
-from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Determination, Quantity
+from spinestiff.subject.outcome_parts import Determination, Quantity
 from spinestiff.subject.outcomes import AngleResponse, Flexibility, PushResponse, Responses, Tracked, TrackedPush
 from spinestiff.words import counted, sentence
 

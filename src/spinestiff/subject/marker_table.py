@@ -21,7 +21,7 @@ from spinestiff.subject.folder import Subject, check_inside
 from spinestiff.subject.outcomes import MarkerTracks
 from spinestiff.subject.record_reading import WANTED_MARKER
 from spinestiff.subject.records import MARKER_NAME, SUBJECT_FILE, MarkersRecord, PushRecord
-from spinestiff.words import counted
+from spinestiff.words import counted, printable
 
 COLUMNS = ("marker", "frame", "x", "y", "z")
 FEWEST, MOST = 3, 60
@@ -118,8 +118,9 @@ def _numbers(where: str, texts: list[str]) -> list[float]:
         return [math.nan] * 3
     numbers = [plain_number(text) for text in texts]
     if not all(map(math.isfinite, numbers)):
-        shown = "".join(c if c.isprintable() else "?" for c in ",".join(texts)[:60])
-        raise SubjectError(f"{where}: found x,y,z {shown}, wanted three finite numbers, or all three empty")
+        raise SubjectError(
+            f"{where}: found x,y,z {printable(','.join(texts))}, wanted three finite numbers, or all three empty"
+        )
     return numbers
 
 

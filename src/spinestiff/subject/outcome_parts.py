@@ -13,8 +13,6 @@ from spinestiff.imaging.projection import XRayView
 
 OUTCOME_VERSION: Final = 3
 """Of every file of results. 1 were files without schemas."""
-HALF_WIDTH_95 = 1.96
-"""Of a normal 95 % interval, in standard deviations."""
 DETERMINED, WEAKLY_DETERMINED = 2.0, 10.0
 """Factors either way of the value: an interval within the first determines it, one within the second does so weakly."""
 

@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from spinestiff.curves.changes import NORMAL_95, change_words
+from spinestiff.curves.changes import change_words
 from spinestiff.errors import SpinestiffError
+from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.study.wording import badge, estimated, headline, interval, stiffness_title, told_stiffness
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, annotatable, annotatable_views, read_annotation, read_unannotated
@@ -174,7 +175,7 @@ def cobb(subject: Subject) -> dict[str, Any] | None:
         "lower_level": lower,
         "rest_deg": curve.rest_deg,
         "change_deg": curve.change_deg,
-        "change_half_width95_deg": NORMAL_95 * curve.change_sd_deg,
+        "change_half_width95_deg": HALF_WIDTH_95 * curve.change_sd_deg,
         "words": f"{change_words(curve.change_deg, curve.change_sd_deg, f'{upper}–{lower}')} under {force:g} N",
     }
 

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from spinestiff.anatomy.regions import is_beside_whole
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
-from spinestiff.curves.changes import NORMAL_95
 from spinestiff.curves.tilts import tilts
 from spinestiff.estimation.unknowns import PLACING
 from spinestiff.imaging.features import (
@@ -23,6 +22,7 @@ from spinestiff.imaging.features import (
 )
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.study.planning.words import TITLES, push_words, size_of, width
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.beside import pedicles_in
@@ -120,7 +120,7 @@ def curve_changes(predictions: Predictions) -> list[CurveChange]:
         for item in (t for t in pushes.trials if t.push == push):
             change = predictions.measured_change(item)
             if change is not None and change.sds is not None:
-                measured[item.role].append((item.force_n, change.tilt, NORMAL_95 * change.sds[2]))
+                measured[item.role].append((item.force_n, change.tilt, HALF_WIDTH_95 * change.sds[2]))
         start = pushes.reference(push).force_n
         simulated: dict[str, list[tuple[float, ...]]] = {"default": [(start, 0.0)], "fit": [(start, 0.0)]}
         for p in (p for p in predictions.frames if p.item.push == push and p.item.force_n > start):

@@ -17,6 +17,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import read_exported_text
 from spinestiff.formats import SEPARATORS, decimal_point, plain_number
 from spinestiff.subject.records import GAUGE_LIMIT_N
+from spinestiff.words import printable
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
 FORCE_UNITS = {"N": 1.0, "kgf": 9.80665, "lbf": 4.4482216152605}
@@ -375,4 +376,4 @@ def _tokens(text: str) -> list[str]:
 
 
 def _shown(text: str) -> str:
-    return repr("".join(c if c.isprintable() else "?" for c in text[:60]))
+    return repr(printable(text))

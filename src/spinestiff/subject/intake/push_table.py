@@ -13,7 +13,7 @@ from spinestiff.formats import parse_csv, plain_number, plain_word
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.intake.collecting import Study, by_name
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, LEVELS, Role
-from spinestiff.words import counted
+from spinestiff.words import counted, printable
 
 COLUMNS = ("file", "frame", "force_n", "side", "level", "d21_mm", "d31_mm")
 OPTIONAL = ("role", "push")
@@ -116,7 +116,7 @@ def _word(text: str, key: str, where: str) -> str | None:
 
 
 def _shown(text: str) -> str:
-    return repr("".join(c if c.isprintable() else "?" for c in text[:40]))
+    return repr(printable(text, 40))
 
 
 def pushes_of(
