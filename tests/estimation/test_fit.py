@@ -314,6 +314,43 @@ def test_no_equilibrium_at_the_start_is_one_clear_error(column, clean, brittle) 
     assert fit.ratios.values == pytest.approx([2.5, 2.0], rel=5e-2)
 
 
+def test_what_ratios_at_their_bounds_do_not_explain_is_no_chance(column, whole, noisy) -> None:
+    """A bound that excludes the truth leaves residuals that no change of the ratios may take away."""
+    fit = fit_stiffness(column.problem, noisy, bounds=(0.8, 10.0), extent="intervals")
+    assert all(fit.at_bound.values())
+    assert fit.rmse_mm > 5.0 * whole.rmse_mm
+    assert fit.weighed.p_value < 1e-9 < 0.05 < whole.weighed.p_value
+
+
+@pytest.mark.parametrize(
+    ("odd", "text"),
+    [
+        ({"extent": "all"}, "unknown extent 'all' of a fit; wanted one of estimate, shape, intervals, everything"),
+        ({"geometry": np.eye(6)}, "geometry: wanted a covariance of 54 by 54 finite numbers, six a vertebra"),
+        ({"geometry": np.full((54, 54), np.nan)}, "geometry: wanted a covariance of 54 by 54 finite numbers"),
+        ({"starts": ()}, "0 states to start from, wanted one a loaded trial, 2"),
+    ],
+)
+def test_what_does_not_fit_the_trials_is_one_clear_error(column, noisy, odd, text) -> None:
+    with pytest.raises(FitError, match=text):
+        fit_stiffness(column.problem, noisy, bounds=BOUNDS, **odd)
+
+
+def test_a_fit_starts_inside_bounds_that_the_default_ratios_are_beyond(column, noisy) -> None:
+    fit = fit_stiffness(column.problem, noisy, bounds=(0.01, 0.9), extent="estimate")
+    assert fit.history[0].ratios == pytest.approx({"lateral_bending": 0.9, "tissue": 0.9})
+    assert fit.status is FitStatus.CONVERGED
+
+
+def test_an_estimate_that_still_moves_in_the_last_round_says_so(column, noisy, monkeypatch) -> None:
+    monkeypatch.setattr(mode, "MOST_TILTS", 1)
+    monkeypatch.setattr(mode, "CHANGED_SD", 0.0)
+    fit = fit_stiffness(column.problem, noisy, bounds=BOUNDS, extent="estimate")
+    (told,) = [line for line in fit.warnings if "integrated out for the last time" in line]
+    assert "still moved by 0." in told
+    assert not [line for line in fit.warnings if "jumps between equilibria" in line]
+
+
 def test_a_start_may_be_solved_from_states_that_are_known(column, noisy, whole, monkeypatch) -> None:
     known = {one.name: one.standard for one in whole.weighed.nuisances}
     begun = {"start": whole.ratios.as_dict(), "start_nuisances": known, "bounds": BOUNDS, "extent": "estimate"}
@@ -322,7 +359,7 @@ def test_a_start_may_be_solved_from_states_that_are_known(column, noisy, whole, 
     fit = fit_stiffness(column.problem, noisy, **begun, starts=states)
     assert fit.ratios.values == pytest.approx(by_ratios.ratios.values, rel=1e-6)
     assert fit.cost.newton_iterations < by_ratios.cost.newton_iterations
-    assert fit.cost.equilibria < by_ratios.cost.equilibria
+    assert fit.cost.factorisations < by_ratios.cost.factorisations
     assert fit.default_equilibria == () and np.isnan(fit.default_rmse_mm)
     solve = WeighedProblem.solve
 
@@ -334,7 +371,7 @@ def test_a_start_may_be_solved_from_states_that_are_known(column, noisy, whole, 
     monkeypatch.setattr(WeighedProblem, "solve", from_states_never)
     instead = fit_stiffness(column.problem, noisy, **begun, starts=states)
     assert instead.ratios.values == pytest.approx(by_ratios.ratios.values, rel=1e-6)
-    assert instead.cost.equilibria > fit.cost.equilibria
+    assert instead.cost.factorisations > fit.cost.factorisations
     assert np.isnan(instead.history[0].rmse_mm) and not instead.history[0].accepted
 
 

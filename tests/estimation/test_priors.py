@@ -19,7 +19,11 @@ def test_each_standard_deviation_is_explained() -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"force_scale": -0.02}, "prior force_scale -0.02; wanted finite numbers from 0"),
+        ({"force_scale": -0.02}, "prior force_scale -0.02; wanted a finite number from 0"),
+        ({"force_scale": "a"}, "prior force_scale a; wanted a finite number from 0"),
+        ({"force_scale": (0.1, 0.2)}, "prior force_scale .*; wanted a finite number from 0"),
+        ({"trunk_power": (1.2,)}, "prior trunk_power .*; wanted two finite numbers from 0"),
+        ({"trunk_power": 1.2}, "prior trunk_power 1.2; wanted two finite numbers from 0"),
         ({"place_mm": np.nan}, "prior place_mm nan"),
         ({"stance_mm": np.inf}, "prior stance_mm inf"),
         ({"trunk_power": (2.0, -1.0)}, "prior trunk_power"),

@@ -121,6 +121,12 @@ def test_derivatives_of_all_that_is_seen_against_differences_of_whole_solves(col
         assert np.allclose(exact, quotient, atol=2e-4 * np.abs(quotient).max()), i
 
 
+def test_pedicles_of_a_trial_without_names_are_of_its_own_radiograph(column, twisted) -> None:
+    marked = column.pedicles(column.torso.rest_pose)
+    asked = column.weighed([replace(trial, label="", push="", pedicles=marked) for trial in twisted], names=NAMES)
+    assert [one.sequence for one in asked.noise.seen] == 2 * [f"trial {i + 1}" for i in range(len(twisted))]
+
+
 def test_one_equilibrium_a_trial_whatever_it_shows(column, twisted, both) -> None:
     costs = []
     for trials in (twisted, both):

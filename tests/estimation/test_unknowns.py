@@ -24,7 +24,7 @@ from spinestiff.estimation.unknowns import (
     unknowns_of,
 )
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import LoadCase, tissue_load
+from spinestiff.mechanics.loads import LoadCase, rib_push, tissue_load
 from spinestiff.mechanics.push import PushSite, Rig, push_load
 
 # What belongs to pictures and not to pushes.
@@ -220,6 +220,13 @@ def test_dead_loads_have_the_side_size_and_height_of_their_push(side, force_n) -
     for name, one in zip(LOADING[2:], wanted[2:]):
         np.testing.assert_allclose(of[name].forces, one.forces, err_msg=name)
     assert np.abs(of["height"].forces).max() > 0.01
+
+
+@pytest.mark.parametrize("level", [1.0, 8.3, 11.0, 11.5, 12.0])
+def test_a_push_is_at_the_level_of_its_ribs(level) -> None:
+    """Also where rib 12 reaches higher than rib 11."""
+    torso = template_torso(157.0, "coarse")
+    assert pushed_site(rib_push(torso, "right", level, 40.0), torso) == ("right", pytest.approx(level))
 
 
 @pytest.mark.parametrize("level", [5.0, 8.0])

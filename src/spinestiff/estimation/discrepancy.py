@@ -206,15 +206,19 @@ def pushed_side(load: LoadCase) -> str:
 
 
 def pushed_site(load: LoadCase, torso: TorsoModel) -> tuple[str, float]:
-    """Side and rib level of a push, from where its forces act on ribs; of another load, the ribs at its height."""
+    """Side and rib level of a push, from the ribs on which its forces act; of another load, the ribs at its height."""
     side, rest = pushed_side(load), torso.rest_pose
-    heights = np.concatenate([load.points.positions(rest)[:, 1], rest.tissue_positions[load.nodes, 1]])
     sizes = np.linalg.norm(np.concatenate([load.forces, load.node_forces]), axis=1)
-    on_rib = np.zeros(len(sizes), dtype=bool)
-    on_rib[: len(load.points)] = [torso.bone_names[bone] in RIBS for bone in load.points.bone]
-    share = sizes * on_rib if (sizes * on_rib).any() else sizes
-    height = float(share @ heights / max(share.sum(), 1e-300))
-    rows = [RIBS.index(f"R{i}_{side[0].upper()}") for i in range(1, 13)]
-    ribs = torso.landmarks["rib_lateral"][rows].positions(torso.rest_pose)[:, 1]
-    level = np.interp(-height, -ribs, np.arange(1.0, 13.0))
+    names = [torso.bone_names[bone] for bone in load.points.bone]
+    on_ribs = np.array([sizes[i] if name in RIBS else 0.0 for i, name in enumerate(names)])
+    if on_ribs.any():
+        levels = [float(name[1:].partition("_")[0]) if name in RIBS else 0.0 for name in names]
+        level = float(on_ribs @ levels / on_ribs.sum())
+    else:
+        heights = np.concatenate([load.points.positions(rest)[:, 1], rest.tissue_positions[load.nodes, 1]])
+        height = float(sizes @ heights / max(sizes.sum(), 1e-300))
+        rows = [RIBS.index(f"R{i}_{side[0].upper()}") for i in range(1, 13)]
+        ribs = torso.landmarks["rib_lateral"][rows].positions(rest)[:, 1]
+        # Rib 12 may reach a little higher than rib 11.
+        level = float(np.interp(-height, np.maximum.accumulate(-ribs), np.arange(1.0, 13.0)))
     return side, float(np.clip(level, LOWEST_LEVEL, HIGHEST_LEVEL))

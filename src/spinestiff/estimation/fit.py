@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -40,9 +40,10 @@ from spinestiff.estimation.told import (
     trial_warnings,
     unsettled_warnings,
 )
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
+from spinestiff.estimation.weighed import AT_LIMIT, WeighedFit, WeighedProblem, Weights
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.words import counted
 
 # An interval that covers more of the bounds (in log) than this says that the data can't tell.
 WIDEST_INTERVAL = 0.9
@@ -52,8 +53,6 @@ SAME_RMSE = 0.01
 ROUNDING = 1e-12
 # Shares of the log ratios to start from, tried in this order.
 NEARER_STARTS = (1.0, 0.75, 0.5, 0.25)
-# Shares of the nuisances that a start has, on the way to them.
-NUISANCES_BY = (0.5, 1.0)
 Extent = Literal["estimate", "shape", "intervals", "everything"]
 
 
@@ -87,16 +86,17 @@ def fit_stiffness(
     names : parameters to estimate, see ``anatomy.stiffness.parameter_group`` and, of regions and levels,
         ``anatomy.regions.parameter_groups``; ("everything",) is the one-ratio model.
     method : "weighed" (``estimation.weighed``) or "paper" (equal weights, L-BFGS-B with the adjoint gradient).
-    start : name -> ratio to start from; default 1.
+    start : name -> ratio to start from; default 1, or the bound next to it.
     bounds : lowest and highest ratio.
     orientation : of a vertebra in the picture, "procrustes" or "covariance".
-    observer : called after every evaluation.
+    observer : called after every evaluation but that of the default ratios.
     max_iterations : evaluations of all trials by each of at most four searches, those beside their ends not counted
         (L-BFGS-B: iterations, and three times as many evaluations).
     priors : what is known beforehand of all that is not quite known.
     geometry : (6V, 6V) covariance of the vertebrae's rest poses (dt mm, dw rad); None: known.
     taped : the trunk's size was measured.
-    start_nuisances : name -> nuisance to start from, in prior standard deviations; default 0.
+    start_nuisances : name -> nuisance to start from, in prior standard deviations; default 0. One that these trials
+        don't have is passed over, as where they are fewer than those that it was found with.
     extent : "estimate" alone; with the "shape" of the likelihood, for a fit on a finer mesh; with "intervals"; or
         "everything": variance budget and, of ratios with profiles, other priors as well.
     population : whose ratios are held as a prior (``ratio_priors.POPULATIONS``), by the weighed method only; None: the
@@ -104,7 +104,7 @@ def fit_stiffness(
     rough : a fit of the same trials and ratios on a coarser mesh, with the shape of its likelihood.
     close_sd : the weighed search ends once a step is shorter than so many standard deviations.
     starts : states of the loaded trials to solve the start of a weighed fit from, in place of the default ratios'
-        equilibria, which are then not solved; the start's ratios come first otherwise, its nuisances then.
+        equilibria, which are then not solved.
 
     Raises
     ------
@@ -115,16 +115,17 @@ def fit_stiffness(
     """
     began = time.perf_counter()
     problems = _problems(problem, trials)
-    _check(trials, names, method, bounds)
+    _check(trials, names, method, bounds, extent)
+    _check_known(problems, trials, geometry, starts)
     groups = parameter_groups(problems[0].torso, names)
     names = tuple(group.name for group in groups)
     if population is not None and method != "weighed":
         raise FitError(f"population '{population}' with method '{method}', which knows no priors; wanted weighed")
-    asked = _asked(problems, trials, groups, orientation, observer, priors, geometry, taped, population)
+    limits = (float(np.log(bounds[0])), float(np.log(bounds[1])))
+    asked = _asked(problems, trials, groups, orientation, observer, priors, geometry, taped, population, limits)
     trial_set = asked.trial_set
     first = _start(names, start, bounds)
     default = None if starts is not None else _default_point(trial_set)
-    limits = (float(np.log(bounds[0])), float(np.log(bounds[1])))
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
         start_point = _start_point(asked, first, nuisances, default, limits, starts)
@@ -133,7 +134,7 @@ def fit_stiffness(
         end = _paper_end(trial_set, first, default, limits, max_iterations)
     point, likely = end.point, None if end.weighed is None else end.weighed.likely
     intervals, opens = _ends(names, likely)
-    edge = np.minimum(point.log_ratios - limits[0], limits[1] - point.log_ratios) < 1e-6
+    edge = np.minimum(point.log_ratios - limits[0], limits[1] - point.log_ratios) < AT_LIMIT
     trial_set.cost.seconds = time.perf_counter() - began
     return StiffnessFit(
         ratios=trial_set.ratios(point.log_ratios),
@@ -313,6 +314,7 @@ def _asked(
     geometry: Floats | None,
     taped: bool,
     population: str | None,
+    limits: tuple[float, float] = (-np.inf, np.inf),
 ) -> WeighedProblem:
     both = list(zip(problems, trials))
     loaded = [(p, trial) for p, trial in both if trial.load.size > 0.0]
@@ -320,7 +322,7 @@ def _asked(
     trial_set = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], groups, orientation, observer)
     priors = priors or Priors()
     held = ratio_prior(groups, problems[0].torso.joints.kinds, priors.level_smoothness, population)
-    return WeighedProblem(trial_set, still, orientation, priors, geometry, taped, held)
+    return WeighedProblem(trial_set, still, orientation, priors, geometry, taped, held, limits)
 
 
 def _start_point(
@@ -344,7 +346,7 @@ def _start_point(
     for share in NEARER_STARTS if first.any() else ():
         nearer = np.clip(share * first, *limits)
         try:
-            start = _started(asked, nearer, nuisances, near)
+            start = asked.solve(nearer, nuisances, near, most_factorisations=MOST_FACTORISATIONS)
             break
         except EquilibriumError:
             asked.trial_set.note(nearer, float("nan"), None, False)
@@ -355,16 +357,6 @@ def _start_point(
             raise NoMinimum(f"no equilibrium at the start of the fit, {error}") from None
     asked.trial_set.note(start.log_ratios, float("nan"), start.evaluation, True)
     return start
-
-
-def _started(asked: WeighedProblem, log_ratios: Floats, nuisances: Floats, near: WeighedPoint | None) -> WeighedPoint:
-    """The model solved at ratios and nuisances, the ratios first: fewer factorisations than both at once."""
-    point = asked.solve(log_ratios, 0.0 * nuisances, near, most_factorisations=MOST_FACTORISATIONS)
-    for share in NUISANCES_BY if nuisances.any() else ():
-        point = asked.solve(
-            log_ratios, share * nuisances, point, asked.slope(point), most_factorisations=MOST_FACTORISATIONS
-        )
-    return point
 
 
 def _of_the_same(asked: WeighedProblem, rough: StiffnessFit | None) -> Weighed | None:
@@ -414,9 +406,13 @@ def _problems(
     return tuple(problem)
 
 
-def _check(trials: Sequence[Trial], names: Sequence[str], method: str, bounds: tuple[float, float]) -> None:
+def _check(
+    trials: Sequence[Trial], names: Sequence[str], method: str, bounds: tuple[float, float], extent: str
+) -> None:
     if method not in METHODS:
         raise FitError(f"unknown fit method '{method}'; wanted one of {', '.join(METHODS)}")
+    if extent not in get_args(Extent):
+        raise FitError(f"unknown extent '{extent}' of a fit; wanted one of {', '.join(get_args(Extent))}")
     if not names or len(set(names)) != len(names):
         raise FitError(f"parameters to fit: {', '.join(names) or 'none'}; wanted at least one, each once")
     if not 0.0 < bounds[0] < bounds[1] < np.inf:
@@ -428,8 +424,23 @@ def _check(trials: Sequence[Trial], names: Sequence[str], method: str, bounds: t
         raise FitError(f"{labels[label]} trials have the label '{label}'; wanted one of its own for each")
 
 
+def _check_known(
+    problems: Sequence[EquilibriumProblem],
+    trials: Sequence[Trial],
+    geometry: Floats | None,
+    starts: Sequence[TorsoState] | None,
+) -> None:
+    size = 6 * len(problems[0].torso.vertebrae)
+    if geometry is not None and (np.shape(geometry) != (size, size) or not np.isfinite(geometry).all()):
+        raise FitError(f"geometry: wanted a covariance of {size} by {size} finite numbers, six a vertebra")
+    loaded = sum(trial.load.size > 0.0 for trial in trials)
+    if starts is not None and len(starts) != loaded:
+        raise FitError(f"{counted(len(starts), 'state')} to start from, wanted one a loaded trial, {loaded}")
+
+
 def _start(names: Sequence[str], start: Mapping[str, float] | None, bounds: tuple[float, float]) -> Floats:
-    values = np.array([(start or {}).get(name, 1.0) for name in names])
+    usual = float(np.clip(1.0, *bounds))
+    values = np.array([(start or {}).get(name, usual) for name in names])
     for name in start or {}:
         if name not in names:
             raise FitError(f"start names '{name}', which is not fitted; fitted are {', '.join(names)}")

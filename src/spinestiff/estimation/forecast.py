@@ -2,10 +2,13 @@
 
 About the fit's place residuals r = simulated - measured are linear in ratios q, flat, and in what else is not known,
 with covariance C of all radiographs, seen and unseen. From those of the seen ones, s, those of an unseen one, u, are
-the best linear unbiased prediction (universal kriging; Goldberger 1962):
+predicted at the fit's ratios, with an error to which the ratios' own adds (universal kriging; Goldberger 1962):
 
-    d = (X_s^T C_ss^-1 X_s)^-1 X_s^T C_ss^-1 r_s,      E r_u = X_u d + C_us C_ss^-1 (r_s - X_s d),
+    E r_u = C_us C_ss^-1 r_s,
     V = C_uu - C_us C_ss^-1 C_su + D (X_s^T C_ss^-1 X_s)^-1 D^T,      D = X_u - C_us C_ss^-1 X_s.
+
+Universal kriging would first take its own step to the ratios of the least r_s^T C_ss^-1 r_s. The fit is there, or where
+nuisances integrated out put it, or at a bound, where no step leads farther.
 
 So an error that seen and unseen radiographs share (where the patient stood, an annotation, what the model lacks) is
 expected again, and only the rest is uncertain. No vertebra of the unseen radiograph is used.
@@ -103,14 +106,12 @@ def forecast(
     x, r = slope.ratios[seen], values[seen]
     solved = cho_solve(root, np.column_stack([x, r]))
     precision = x.T @ solved[:, :-1] + LEAST_PRECISION * np.eye(x.shape[1])
-    drift = np.linalg.solve(precision, x.T @ solved[:, -1])
-    left = cho_solve(root, r - x @ drift)
     found = []
     for i, own in zip(unseen, rows):
         across = covariance[np.ix_(own, seen)]
         apart = slope.ratios[own] - across @ solved[:, :-1]
         spread = covariance[np.ix_(own, own)] - across @ cho_solve(root, across.T)
         spread = spread + apart @ np.linalg.solve(precision, apart.T)
-        mean = slope.ratios[own] @ drift + across @ left
+        mean = across @ solved[:, -1]
         found.append(Forecast(noise.boxes(i), mean, 0.5 * (spread + spread.T), values[own]))
     return tuple(found)

@@ -102,7 +102,7 @@ def likeliest(
             break
     else:
         # The slope of the last round is that of a place so far off.
-        found = replace(found, short=max(found.short, far))
+        found = replace(found, carried=far)
     return found
 
 

@@ -136,9 +136,15 @@ class Priors:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            found = np.atleast_1d(getattr(self, field.name))
-            if not (np.isfinite(found).all() and (found >= 0.0).all()):
-                raise FitError(f"prior {field.name} {getattr(self, field.name)}; wanted finite numbers from 0")
+            two = field.name == "trunk_power"
+            try:
+                found = np.asarray(getattr(self, field.name), dtype=float)
+                sound = found.shape == ((2,) if two else ()) and np.isfinite(found).all() and (found >= 0.0).all()
+            except (TypeError, ValueError):
+                sound = False
+            if not sound:
+                wanted = "two finite numbers" if two else "a finite number"
+                raise FitError(f"prior {field.name} {getattr(self, field.name)}; wanted {wanted} from 0")
         for name in ABOVE_0:
             if not getattr(self, name) > 0.0:
                 raise FitError(f"prior {name} {getattr(self, name):g}; wanted above 0")

@@ -137,6 +137,11 @@ def unsettled_warnings(
             "beside the estimate the torso jumps between equilibria, as where soft tissue creases; "
             f"the estimate is settled to {search_end.short:.1g} standard deviations"
         )
+    if search_end.carried:
+        found.append(
+            "the radiographs tell so little of the ratios that the estimate still moved by "
+            f"{search_end.carried:.1g} standard deviations when nuisances were integrated out for the last time"
+        )
     if likely is None:
         return found
     if not likely.settled:

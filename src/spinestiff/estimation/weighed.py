@@ -53,6 +53,7 @@ from spinestiff.estimation.unknowns import ACTS, Unknowns, is_placed, unknowns_o
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
+AT_LIMIT = 1e-6  # of a log ratio
 _MOTION = ACTS.index("motion")
 
 
@@ -82,6 +83,7 @@ class WeighedProblem:
     ----------
     trial_set : the trials under load. still : those without, and their torso's problems.
     ratio_prior : what is held of the ratios; None: they are flat in log.
+    limits : of the log ratios. What one at a limit can't explain no chance explains (``p_value``).
 
     Attributes
     ----------
@@ -99,8 +101,9 @@ class WeighedProblem:
         geometry: Floats | None,
         taped: bool,
         ratio_prior: RatioPrior | None = None,
+        limits: tuple[float, float] = (-np.inf, np.inf),
     ) -> None:
-        self.trial_set, self.priors = trial_set, priors
+        self.trial_set, self.priors, self.limits = trial_set, priors, limits
         count = len(trial_set.groups)
         self.ratio_prior = ratio_prior or RatioPrior(np.zeros((0, count)), np.zeros(0), {})
         self.unknowns: Unknowns = unknowns_of(trial_set.trials, trial_set.problems, priors, taped, trial_set.groups)
@@ -121,7 +124,7 @@ class WeighedProblem:
             torso = problems[one.trial].torso
             at_rest.append(sight_residuals(torso, one.target, torso.rest_pose))
             by_hand = isinstance(one.target, MarkerTarget | PedicleTarget) or one.target.trial.annotated
-            seen.append(Seen(one.target, one.sequence, by_hand, one.radiograph, one.marked))
+            seen.append(Seen(one.target, one.sequence or sequences[one.trial], by_hand, one.radiograph, one.marked))
         more = any(not isinstance(one.target, MarkerTarget) for one in further)
         rest = problems[0].torso.rest_pose.bone_positions[problems[0].torso.vertebra_bones] if more else None
         self.noise = Noise(seen, at_rest, geometry, priors, rest)
@@ -299,19 +302,21 @@ class WeighedProblem:
     def p_value(self, point: WeighedPoint, slope: WeighedSlope) -> float:
         """Of residuals as large, with the covariance before any scale or weight is fitted.
 
-        What no change of the ratios takes away of the data's; what is held of the ratios is no data. NaN where that is
-        nothing, of as many ratios as data or more.
+        Of what no change of the ratios within their limits takes away of the data's; what is held of them is no data.
+        NaN where that is nothing, of as many ratios as data or more.
         """
         from scipy.stats import chi2
 
-        if self.data <= len(self.trial_set.groups):
+        low, high = point.log_ratios - self.limits[0], self.limits[1] - point.log_ratios
+        ratios = slope.ratios[:, np.minimum(low, high) > AT_LIMIT]
+        if self.data <= ratios.shape[1]:
             return float("nan")
 
         data = slice(0, self.data)
         expected = self.as_expected(point).root[data, data]
         root = lower_root(expected @ expected.T + slope.nuisances[data] @ slope.nuisances[data].T)
         free = point.values[data] - slope.nuisances[data] @ point.nuisances
-        values, fixed = (solve_triangular(root, a, lower=True) for a in (free, slope.ratios[data]))
+        values, fixed = (solve_triangular(root, a, lower=True) for a in (free, ratios[data]))
         q = np.linalg.qr(fixed)[0]
         left = values - q @ (q.T @ values)
         return float(chi2.sf(float(left @ left), self.data - q.shape[1]))
@@ -399,6 +404,7 @@ class WeighedFit(ShortRepr):
     visited : the places on the way there, in their order.
     tilt : half the log determinant of the nuisances' precision, over the log ratios; None: phi was minimised, not psi.
     short : by how many standard deviations the last step, which was not taken, would have gone on.
+    carried : by how many it went on in the last round for the tilt's slope, which was not the last that was wanted.
     """
 
     point: WeighedPoint
@@ -408,3 +414,4 @@ class WeighedFit(ShortRepr):
     visited: tuple[tuple[WeighedPoint, WeighedSlope], ...]
     short: float = 0.0
     tilt: Kriging | None = None
+    carried: float = 0.0
