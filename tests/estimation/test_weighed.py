@@ -219,6 +219,19 @@ def test_short_steps_are_taken_until_little_is_left(column, asked, found, monkey
     assert again.short < np.sqrt(2.0 * mode.NEARLY)
 
 
+def test_a_search_that_goes_to_and_fro_ends_and_tells_how_near_it_is(column, asked, found, monkeypatch) -> None:
+    """Each side's weights promise the same little of the other one, and phi is less there, as where equilibria jump."""
+    step = 0.1 * sd_of(found)
+    ways, sinking = (sign * step for _ in range(50) for sign in (1.0, -1.0)), iter(np.arange(1000.0, 0.0, -1.0))
+    monkeypatch.setattr(mode, "gauss_newton_step", lambda point, *args: (next(ways), point.nuisances, 0.005))
+    monkeypatch.setattr(mode, "phi", lambda *args: next(sinking))
+    monkeypatch.setattr(mode, "_mixed", lambda *args: None)
+    ended = search(asked, found.point, column.limits, 40)
+    assert ended.status is FitStatus.CONVERGED
+    assert ended.short == pytest.approx(0.1)
+    assert len(ended.visited) == mode.MOST_WANDERED + 1
+
+
 def test_a_common_scale_of_stiffness_is_never_known_better_than_the_force(column, known_exactly) -> None:
     """Two pushes with a calibration each know it by the root of two better, one push with two frames does not."""
     priors = replace(known_exactly, force_scale=0.3)

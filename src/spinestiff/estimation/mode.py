@@ -45,6 +45,9 @@ SETTLED = 5e-3
 NEAR_ENOUGH = 0.5
 # So is a place that promises less than ``CREASED`` (a quarter of an sd) where so many such steps were refused in all.
 CREASED, MOST_REFUSED = 1.0 / 32.0, 6
+# And so is one after so many steps none of which promised less than half of the least before: where equilibria jump,
+# the weights of either side may lead to the other one for ever.
+MOST_WANDERED = 12
 # A solve that takes more factorisations is on its way to another equilibrium than the one before; it is given up, and a
 # shorter step is tried. Useful ones took up to 52 (of a step by a factor of 3.5), most one to four.
 MOST_FACTORISATIONS = 60
@@ -152,15 +155,17 @@ def search(
     slope, weights = (problem.slope(start), None) if known is None else known
     point = start
     visited: list[Place] = []
-    evaluations, near, rough = 1, 0, 0
+    evaluations, near, rough, wandered, least = 1, 0, 0, 0, np.inf
     trail = list[tuple[Floats, Floats]]()
     promised = np.inf
     while True:
         weights = problem.weights(point, slope, weights)
         step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits, _steepness(tilt, point))
         near = near + 1 if 0.5 * promised < predicted < NEARLY else 0
+        wandered, least = (0, predicted) if predicted < 0.5 * least else (wandered + 1, least)
         promised, short = predicted, float(np.sqrt(2.0 * predicted))
-        settled = near > ENOUGH or (rough > MOST_REFUSED and predicted < CREASED)
+        lost = rough > MOST_REFUSED or wandered > MOST_WANDERED
+        settled = near > ENOUGH or (lost and predicted < CREASED)
         if predicted < 0.5 * close_sd**2 or settled:
             return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited), short, tilt)
         before = phi(point, weights) + _added(tilt, point.log_ratios)
