@@ -122,32 +122,45 @@ def push_response(frames: Sequence[FrameCorners], rest: SpineTilts, gauge: Gauge
     ----------
     frames : in order; those that show fewer than two whole vertebrae do not count. Without one of no force, or without
         a loaded one, ``missing`` says so.
-    rest : of the rest picture, which chooses the Cobb angle's end vertebrae. Chosen in the frame that is measured, the
-        largest angle of many would be too large by its own noise.
+    rest : of the whole rest picture, which chooses the Cobb angle's end vertebrae. Chosen in the frame that is
+        measured, the largest angle of many would be too large by its own noise. Where no frame without force or none
+        under a force shows both, ``instead_of`` has them, and the curve is the rest picture's largest angle of the
+        vertebrae that were followed.
     gauge : its errors.
     """
     frames = [frame for frame in frames if len(frame.whole) > 1]
-    force = max((frame.force_n for frame in frames), default=0.0)
-    start = next((frame for frame in frames if frame.force_n == 0.0), None)
-    if start is None or force == 0.0:
-        without = "without force" if start is None else "under a force"
+    measured = _first_and_most(frames)
+    if measured is None:
+        force = max((frame.force_n for frame in frames), default=0.0)
+        without = "under a force" if any(frame.force_n == 0.0 for frame in frames) else "without force"
         return PushResponse(force_n=force, missing=f"no usable frame {without}")
-    most = max(frames, key=lambda frame: frame.force_n)
+    end = cobb_angle(rest)
+    shown = _first_and_most([frame for frame in frames if {end.upper, end.lower} <= set(frame.whole)])
+    start, most = shown or measured
     common = tuple(name for name in start.whole if name in most.whole)
-    named = tuple(name for name in common if name in rest.vertebrae)
-    if len(named) < 2:
-        return PushResponse(
-            force_n=force, missing=f"frames {start.frame} and {most.frame} show fewer than two vertebrae in common"
-        )
-    end = cobb_angle(rest.selected(named))
+    instead_of = None
+    if shown is None:
+        named = tuple(name for name in common if name in rest.vertebrae)
+        if len(named) < 2:
+            few = f"frames {start.frame} and {most.frame} show fewer than two vertebrae in common"
+            return PushResponse(force_n=most.force_n, missing=few)
+        instead_of, end = (end.upper, end.lower), cobb_angle(rest.selected(named))
     tilt_levels = cobb_change(start.tilts(common), most.tilts(common)).tilt_levels
     curve = _followed(frames, (end.upper, end.lower))
     return PushResponse(
-        force_n=force,
+        force_n=most.force_n,
         tilt=_response(_followed(frames, tilt_levels), most, gauge, CHOSEN_95),
         curve=_response(curve, most, gauge, HALF_WIDTH_95),
         flexibility=_flexibility(curve, most),
+        instead_of=instead_of,
     )
+
+
+def _first_and_most(frames: Sequence[FrameCorners]) -> tuple[FrameCorners, FrameCorners] | None:
+    """The first frame without force and that of the largest; None where there is no such or no loaded one."""
+    start = next((frame for frame in frames if frame.force_n == 0.0), None)
+    most = max(frames, key=lambda frame: frame.force_n, default=None)
+    return None if start is None or most is None or most.force_n == 0.0 else (start, most)
 
 
 def _followed(frames: Sequence[FrameCorners], levels: tuple[str, str]) -> _Followed:
