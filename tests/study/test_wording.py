@@ -380,11 +380,12 @@ def test_a_curve_that_a_push_turns_over_is_told(rest, change, words):
 
 
 def test_a_curve_between_other_end_vertebrae_is_told():
-    curve, nothing = answered(("T5", "T11"), -17.5, (2.9, 3.4286, 4.12)), Flexibility(percent=None, low=None, high=None)
-    assert lines_of(tilt=curve, curve=curve, flexibility=nothing, instead_of=("T4", "T11"))[3:] == [
-        "push 'main': the curve is T5–T11, not the rest picture's T4–T11, of which no frame without force or none under "
-        "a force shows both end vertebrae"
-    ]
+    curve, share = answered(("T5", "T11"), -17.5, (2.9, 3.4286, 4.12)), Flexibility(percent=70.0, low=61.0, high=81.2)
+    (told,) = lines_of(tilt=curve, curve=curve, flexibility=share, instead_of=("T4", "T11"))[3:]
+    assert told == (
+        "push 'main': the curve is T5–T11, not the rest picture's T4–T11, of which no frame without force or none "
+        "under a force shows both end vertebrae"
+    )
 
 
 def test_response_lines_of_what_is_not_known():
