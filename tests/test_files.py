@@ -17,6 +17,7 @@ import pytest
 from spinestiff.errors import RadiographError, SpinestiffError, SubjectError, TorsoError
 from spinestiff.files import (
     check_output,
+    check_whole_folder,
     check_writable,
     file_digest,
     read_exported_text,
@@ -464,6 +465,42 @@ def test_a_pipe_is_not_waited_for(inside):
             ask(inside / "pipe")
     with pytest.raises(SubjectError, match="pipe: found a named pipe, wanted a file"):
         file_digest(inside)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (".", "^.: is no folder that could be made anew; name a new one$"),
+        ("..", "^..: is no folder that could be made anew; name a new one$"),
+        ("full", "^full: exists and is no empty folder; name a new one$"),
+        ("full/file", "^full/file: exists and is no empty folder; name a new one$"),
+        ("link", "^link: is a link; name a new folder$"),
+        ("full/file/new", r"^full/file/new: can't be written \(.*\); name a new folder$"),
+        ("closed/new", r"^closed/new: can't be written \(no permission\); name a new folder$"),
+        ("a\0b", r"^'a\\x00b': no name of a folder$"),
+    ],
+)
+def test_a_place_for_no_new_folder_is_refused_beforehand(tmp_path, monkeypatch, name, message):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("full", "empty", "closed"):
+        Path(folder).mkdir()
+    Path("full/file").touch()
+    Path("link").symlink_to("empty")
+    Path("closed").chmod(0o500)
+    if name.startswith("closed") and os.access("closed", os.W_OK):
+        pytest.skip("for this user no folder is closed")
+    with pytest.raises(TorsoError, match=message):
+        check_whole_folder(Path(name), TorsoError)
+    with pytest.raises(TorsoError, match=message), whole_folder(Path(name), TorsoError):
+        raise AssertionError("is not begun")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["closed", "empty", "full", "link"]
+
+
+def test_a_place_for_a_new_folder_is_left_as_it_is(tmp_path):
+    (tmp_path / "empty").mkdir()
+    for folder in (tmp_path / "empty", tmp_path / "far" / "new"):
+        check_whole_folder(folder, TorsoError)
+    assert list(tmp_path.rglob("*")) == [tmp_path / "empty"]
 
 
 def test_a_folder_is_there_whole_or_not_at_all(tmp_path, monkeypatch):

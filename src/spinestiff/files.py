@@ -131,6 +131,14 @@ def check_writable(folder: Path, what: str) -> None:
     ------
     SubjectError : no file can be made in it, or it can't be made itself.
     """
+    if (problem := _try(folder)) is not None:
+        raise SubjectError(
+            f"{folder}: can't be written ({trouble(problem)}), but {what} go there; make it writable, or work on a copy"
+        )
+
+
+def _try(folder: Path) -> OSError | None:
+    """What keeps a file from being made in a folder, or the folder itself; nothing is left of the trial."""
     new = [one for one in (folder, *folder.parents) if not os.path.exists(one)]
     probe = folder / f".{secrets.token_hex(8)}.tmp"
     try:
@@ -138,13 +146,12 @@ def check_writable(folder: Path, what: str) -> None:
         probe.touch(exist_ok=False)
         probe.unlink()
     except OSError as problem:
-        raise SubjectError(
-            f"{folder}: can't be written ({trouble(problem)}), but {what} go there; make it writable, or work on a copy"
-        ) from None
+        return problem
     finally:
         for one in new:
             with suppress(OSError):
                 one.rmdir()
+    return None
 
 
 def write_bytes(
@@ -418,16 +425,34 @@ def _status(path: Path, error: type[SpinestiffError], named: str) -> os.stat_res
         raise error(f"{named}: can't be opened ({problem.strerror})") from None
 
 
+def check_whole_folder(folder: Path, error: type[SpinestiffError]) -> None:
+    """Refuse a place where ``whole_folder`` can make no folder, before any work for it is done.
+
+    Raises
+    ------
+    error : it holds something, is a link or no folder, or nothing can be made beside it.
+    """
+    if folder.name in ("", ".."):
+        raise error(f"{folder}: is no folder that could be made anew; name a new one")
+    if "\0" in str(folder):
+        raise error(f"{str(folder)!r}: no name of a folder")
+    if folder.is_symlink():
+        raise error(f"{folder}: is a link; name a new folder")
+    if os.path.lexists(folder) and not (folder.is_dir() and not listed(folder, error)):
+        raise error(f"{folder}: exists and is no empty folder; name a new one")
+    if (problem := _try(folder.parent)) is not None:
+        raise error(f"{folder}: can't be written ({trouble(problem)}); name a new folder")
+
+
 @contextmanager
 def whole_folder(folder: Path, error: type[SpinestiffError]) -> Iterator[Path]:
     """A folder to write into that becomes ``folder``, new or empty until then, once all is written; else nothing does.
 
     Raises
     ------
-    error : the folder holds something or can't be written; what is raised inside names ``folder``, not the draft.
+    error : as ``check_whole_folder``; what is raised inside names ``folder``, not the draft.
     """
-    if not folder.name:
-        raise error(f"{folder}: is no folder that could be made anew; name a new one")
+    check_whole_folder(folder, error)
     draft = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.tmp")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)

@@ -104,7 +104,7 @@ def held_out(visit: Visit) -> tuple[Figure, ...]:
 def first_page(visit: Visit) -> tuple[Figure, ...]:
     """The spine before the push that tells most, pushed, and as the estimate has it: a report's first page.
 
-    None where the Cobb angle was not seen both with and without force.
+    No figure where the Cobb angle was not seen both with and without force.
 
     Raises
     ------

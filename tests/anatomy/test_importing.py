@@ -87,6 +87,11 @@ def test_one_bad_mesh_is_named(bone_folder, meshes, template_bones, name, change
         import_torso(bone_folder)
 
 
+@pytest.mark.parametrize("spacing", [0.0, -3.0, 1e-9, 1e300, float("nan"), float("inf")])
+def test_an_impossible_spacing_is_told_before_anything_is_read(tmp_path, spacing):
+    assert refusal(tmp_path / "none", spacing_mm=spacing) == f"spacing {spacing:g} mm; wanted 9 to 60 mm"
+
+
 @pytest.mark.usefixtures("no_mesher")
 def test_missing_empty_duplicate_and_copied_meshes(bone_folder, meshes, template_bones):
     (bone_folder / "T3.stl").write_bytes(b"")

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import pytest
 
@@ -106,6 +107,31 @@ def test_a_skin_by_its_name_is_the_skin_unless_a_mapping_names_another(folder):
     assert find_files(folder, mapping(folder, skin="body.ply")).skin == folder / "body.ply"
 
 
+def test_a_mapping_is_read_as_every_json_file_is(folder):
+    path = folder.parent / "map.json"
+    for text, message in (
+        ('{"unit": "mm",}', r"^map.json: not JSON at line 1, column \d+: .*comma"),
+        ('{"unit": "m", "unit": "mm"}', "^map.json: key 'unit' is given twice in one object; keep one$"),
+        ('{"height_cm": NaN}', "^map.json: found NaN, wanted a finite number$"),
+        ("PK\x03\x04", "map.json: a spreadsheet program's own format"),
+    ):
+        path.write_text(text)
+        with pytest.raises(TorsoError, match=message):
+            find_files(folder, path)
+
+
+def test_hidden_files_are_passed_by(folder):
+    """What macOS leaves beside each file on other disks."""
+    (folder / "._T5.stl").touch()
+    (folder / ".skull.ply").touch()
+    assert find_files(folder).bones["T5"] == (folder / "T5.stl",)
+
+
+def test_a_folder_s_name_with_a_zero_byte_is_none():
+    with pytest.raises(TorsoError, match=r"^'bones\\x00': no name of a folder$"):
+        find_files(Path("bones\0"))
+
+
 def test_a_missing_bone_is_named(folder):
     (folder / "R7_L.stl").unlink()
     (folder / "T4.stl").unlink()
@@ -152,7 +178,9 @@ def test_a_mapping_names_ignores_and_leaves_the_rest_to_names(folder):
         ({"ignore": "T5.stl"}, "no list"),
         ({"ignore": ["T5.stl"]}, "no mesh for T5"),
         ({"unit": 3}, '"unit" is no text'),
-        ({"height_cm": "tall"}, "no number"),
+        ({"height_cm": "tall"}, '^map.json: "height_cm" is no number from 90 to 230$'),
+        ({"height_cm": 10**400}, '^map.json: "height_cm" is no number from 90 to 230$'),
+        ({"height_cm": 1600}, '^map.json: "height_cm" is no number from 90 to 230$'),
         ({"colour": "red"}, "unknown key 'colour'"),
         ([1], "no object"),
     ],

@@ -116,6 +116,24 @@ def test_a_face_beyond_the_vertices_is_refused(tmp_path, meshes):
         refusal(tmp_path, f"bone.{kind}", getattr(meshes, kind)(VERTICES, faces))
 
 
+@pytest.mark.parametrize("wrong", [-5, 999])
+def test_the_vertex_that_is_not_there_is_named(tmp_path, meshes, wrong):
+    faces = FACES.copy()
+    faces[3, 0] = wrong
+    told = refusal(tmp_path, "bone.ply", meshes.ply(VERTICES, faces))
+    assert told == f"bone.ply: a triangle names vertex {wrong}, but there are {len(VERTICES)}, from 0 on"
+
+
+@pytest.mark.parametrize("change", [-1, -60, 7])
+@pytest.mark.parametrize("title", [b"bone", b"solid bone"])
+def test_a_binary_stl_of_another_length_than_it_says_is_told(tmp_path, meshes, change, title):
+    content = title.ljust(80) + meshes.stl(VERTICES, FACES)[80:]
+    cut = content[:change] if change < 0 else content + bytes(change)
+    assert refusal(tmp_path, "bone.stl", cut) == (
+        f"bone.stl has {len(cut):,} bytes, but by its number of triangles {len(content):,}; copy or export it again"
+    )
+
+
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("faces", [[(0, 1, 2), (0, 1, 2, 3)], [(0, 1, 2, 3, 4), (0, 1, 2), (2, 3, 4)]])
 def test_a_binary_ply_of_faces_of_several_kinds_says_what_to_do(tmp_path, order, faces):

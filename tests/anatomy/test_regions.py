@@ -140,6 +140,14 @@ def test_unknown_names_are_refused_in_a_line(names, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "names", [("lateral_bending@lumbar", "lateral_bending@T12-S1"), ("rib_rotation", "rib_rotation@T1-S1")]
+)
+def test_two_names_of_the_same_stiffnesses_are_refused(torso, names):
+    with pytest.raises(TorsoError, match=f"^'{names[0]}' and '{names[1]}' scale the same stiffnesses of this torso;"):
+        parameter_groups(torso, ["tissue_mu", "tissue_lambda", *names])
+
+
 def test_one_ratio_for_all_levels_is_refused_as_such(torso):
     with pytest.raises(TorsoError, match=r"^'lateral_bending@levels' is a ratio for each level; .*@T8-T9$"):
         torso_ratios(torso, {"lateral_bending@levels": 0.5})

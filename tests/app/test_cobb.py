@@ -10,10 +10,11 @@ import pytest
 
 from spine_images import image
 from spinestiff.curves.corner_files import write_corners
-from spinestiff.curves.pushes import cobb_frames, cobb_rows
+from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses
 from spinestiff.study.report.clinician import clinician_content
 from spinestiff.study.report.viewer.page import component
 from spinestiff.study.visit import open_visit
+from spinestiff.study.wording import response_lines
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_subject
@@ -175,6 +176,17 @@ def test_what_is_no_file_of_corners_is_one_line(cobb, tmp_path):
     assert status == 2 and "--patient-left is for files of corners" in err
 
 
+def test_noise_and_definition_are_those_of_all_lines_or_it_is_told(finished, spinestiff):
+    """N per degree takes the corner noise of the table; by mid-lines there is none, which a line says."""
+    told = spinestiff("cobb", finished.folder, "--definition", "midline", "--noise-px", 8).out.splitlines()
+    lines = response_lines(push_responses(read_subject(finished.folder), noise_px=8.0))
+    assert lines != response_lines(push_responses(read_subject(finished.folder)))
+    assert told[-len(lines) - 1 :] == [
+        "N per degree and flexibility are by endplates, whatever the table is by",
+        *lines,
+    ]
+
+
 def test_the_cobb_angle_is_the_same_everywhere(finished, viewed, spinestiff, tmp_path):
     """First page, table, CSV, JSON and the viewer: size, ±, levels, definition and side."""
     frames = cobb_frames(read_subject(finished.folder))
@@ -187,6 +199,8 @@ def test_the_cobb_angle_is_the_same_everywhere(finished, viewed, spinestiff, tmp
     printed = spinestiff("cobb", finished.folder, "--csv", table)
     assert printed.status == 0 and words in " ".join(printed.out.split())
     assert words in table.read_text(encoding="utf-8")
+    lines = response_lines(push_responses(read_subject(finished.folder)))
+    assert printed.out.splitlines()[-len(lines) :] == lines and "are by endplates" not in printed.out
     record = json.loads(spinestiff("cobb", finished.folder, "--json").out)[0]
     assert f"{record['largest_deg']:.1f}° ± {1.96 * record['sd_deg']:.1f}°" in words
     shown = {row[0]: row[1] for row in cobb_rows(frames)}

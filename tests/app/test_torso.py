@@ -117,6 +117,18 @@ def test_the_format_is_what_the_ending_says(tmp_path):
         assert words in refusal("export", *options)
 
 
+def test_a_place_for_no_new_folder_is_told_before_an_import(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    # There are no bones either.
+    for out, words in (
+        (".", ".: is no folder that could be made anew"),
+        ("link", "link: is a link; name a new folder"),
+    ):
+        assert words in refusal("import", tmp_path / "none", "--out", out)
+
+
 def test_draws_of_a_subject_go_into_a_new_folder(subject, tmp_path):
     out = tmp_path / "drawn"
     assert "2 torsos and stiffness.csv, for OpenSim 4" in said(
@@ -125,6 +137,7 @@ def test_draws_of_a_subject_go_into_a_new_folder(subject, tmp_path):
     assert sorted(path.name for path in out.iterdir()) == ["draw-001.osim", "estimate.osim", "stiffness.csv"]
     for words, *given in (
         ("exists and is no empty folder", subject, "--format", "osim", "--draws", 1, "--out", out),
+        ("is no folder that could be made anew", subject, "--format", "osim", "--draws", 1, "--out", "."),
         ("lies among the inputs", subject, "--format", "osim", "--draws", 1, "--out", subject / "drawn"),
         ("no stiffness to draw", subject, "--draws", 1, "--out", tmp_path / "other"),
         ("wanted a subject folder, and --out a new folder", "--format", "osim", "--draws", 1),

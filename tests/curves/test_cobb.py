@@ -13,7 +13,7 @@ from spine_images import LABELLED, image, labelled_csv, labelled_images
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.curves.cobb import CobbReading, read_cobb, read_cobb_of_view, spine_curves
 from spinestiff.curves.corner_files import UnreadableImage, read_corner_file
-from spinestiff.errors import SubjectError
+from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.study.report.cobb_picture import MOST_PANELS, draw_readings, write_picture
 
 # Convex to the right (T1-T5), to the left (T5-T11), to the right (T11-L4) as seen, with a tail that comes back.
@@ -128,6 +128,30 @@ def test_the_noise_of_the_corners_is_that_of_the_angle(definition):
     tilt = np.degrees(np.arctan2(-across[..., 1], across[..., 0]))
     assert found.largest.sd_deg == pytest.approx(np.std(tilt[:, 0] - tilt[:, 1]), rel=0.05)
     assert found.noise == 2.0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"definition": "cobb"}, "unknown definition 'cobb'; wanted endplate or midline"),
+        ({"noise": -1.0}, "noise of corners: found -1.0, wanted a finite number of 0 or more"),
+        ({"noise": float("nan")}, "noise of corners: found nan"),
+        ({"noise": float("inf")}, "noise of corners: found inf"),
+    ],
+)
+def test_impossible_definitions_and_noises_are_refused(options, words):
+    spine = image(TRIPLE)
+    for read in (
+        lambda: read_cobb(spine, **options),
+        lambda: spine_curves(spine.levels, spine.corners, **{"definition": "endplate", **options}),
+    ):
+        with pytest.raises(SpinestiffError, match=words):
+            read()
+
+
+def test_no_reading_makes_no_picture():
+    with pytest.raises(SubjectError, match="no reading of Cobb angles to draw; wanted at least one"):
+        draw_readings([])
 
 
 def test_the_default_noise_follows_the_vertebrae():

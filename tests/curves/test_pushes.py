@@ -16,7 +16,7 @@ from spinestiff.curves import pushes
 from spinestiff.curves.angle_csv import angles_csv
 from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, reading_of, rest_reading, seen_frames
 from spinestiff.curves.tilts import tilts
-from spinestiff.errors import SubjectError
+from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
@@ -131,6 +131,17 @@ def test_a_tracking_of_another_push_is_refused(subject):
     altered(subject, Tracked, lambda content: content["pushes"].update(third=content["pushes"].pop("main")))
     with pytest.raises(SubjectError, match="no push 'third'"):
         cobb_frames(read_subject(subject))
+
+
+def test_corner_noise_widens_what_annotation_leaves_open(finished):
+    """Of the angle at rest, and so of flexibility; what changed is known by the tracking."""
+    subject = read_subject(finished.folder)
+    sharp, usual, wide = (push_responses(subject, noise_px=noise).pushes["main"] for noise in (0.0, None, 8.0))
+    assert sharp.flexibility.high - sharp.flexibility.low < 0.9 * (usual.flexibility.high - usual.flexibility.low)
+    assert usual.flexibility.percent is not None and wide.flexibility.percent is None
+    assert sharp.curve.change_deg == usual.curve.change_deg == wide.curve.change_deg
+    with pytest.raises(SpinestiffError, match="noise of corners: found nan"):
+        push_responses(subject, noise_px=float("nan"))
 
 
 def test_n_per_degree_of_a_subject(finished):

@@ -188,13 +188,40 @@ def test_frames_off_a_line_widen_the_interval():
 
 def test_a_vertebra_that_a_frame_lost_is_none_of_its_ends():
     frames = frames_of([25.0 * CURVE + 0.2 * force * BENDING for force in STEPS])
-    lost = np.array(frames[0].quality)
-    lost[VERTEBRAE.index("T5"), 2] = 0.0
-    middle = push_response([frames[0], replace(frames[1], quality=lost), *frames[2:]], rest_of(25.0))
+    middle = push_response([frames[0], without(frames[1], "T5"), *frames[2:]], rest_of(25.0))
     assert middle.tilt.levels == ("T5", "L2") and middle.tilt.frames == (0, 2, 3)
     assert middle.curve.frames == (0, 1, 2, 3)
-    last = push_response([*frames[:3], replace(frames[3], quality=lost)], rest_of(25.0))
+    last = push_response([*frames[:3], without(frames[3], "T5")], rest_of(25.0))
     assert "T5" not in last.tilt.levels
+
+
+def without(frame, *levels):
+    """The frame with one corner of each of these vertebrae lost."""
+    quality = np.array(frame.quality)
+    quality[[VERTEBRAE.index(level) for level in levels], 2] = 0.0
+    return replace(frame, quality=quality)
+
+
+def test_a_corner_that_is_lost_under_the_largest_force_leaves_the_levels():
+    """The curve stays between the rest picture's end vertebrae, up to the largest force that shows both."""
+    frames = frames_of([25.0 * CURVE + 0.2 * force * BENDING for force in STEPS])
+    whole = push_response(frames, rest_of(25.0))
+    lost = push_response([*frames[:3], without(frames[3], "T4")], rest_of(25.0))
+    assert lost.force_n == 40.0 and lost.instead_of is whole.instead_of is None
+    assert lost.curve.levels == whole.curve.levels == ("T4", "L2") and lost.curve.frames == (0, 1, 2)
+    assert lost.curve.change_deg == pytest.approx(-8.0) and lost.flexibility.percent == pytest.approx(32.0)
+    # Tilt goes on to the frame that shows its own two vertebrae, its change to the same force as the curve's.
+    assert lost.tilt.levels == whole.tilt.levels and lost.tilt.frames == (0, 1, 2, 3)
+    assert lost.tilt.change_deg == pytest.approx(-8.0)
+    first = push_response([without(frames[0], "T4"), *frames[1:], replace(frames[0], frame=4)], rest_of(25.0))
+    assert first.curve.levels == ("T4", "L2") and first.curve.frames == (1, 2, 3, 4)
+
+
+def test_end_vertebrae_that_no_loaded_frame_shows_give_way_to_others_and_are_told():
+    frames = frames_of([25.0 * CURVE + 0.2 * force * BENDING for force in STEPS])
+    found = push_response([frames[0], *(without(frame, "T4", "T5") for frame in frames[1:])], rest_of(25.0))
+    assert found.instead_of == ("T4", "L2") and found.force_n == 60.0
+    assert found.curve.levels == ("T3", "L2") and found.curve.frames == (0, 1, 2, 3)
 
 
 def test_a_straight_spine_has_no_flexibility():

@@ -121,7 +121,7 @@ def test_nothing_is_left_of_an_export_that_fails(finished, tmp_path):
     found = drawn_ratios(open_visit(finished.folder), 1)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("")
-    with pytest.raises(TorsoError, match="out: can't be written"):
+    with pytest.raises(TorsoError, match="out: exists and is no empty folder"):
         export_drawn(found, tmp_path / "out", "osim", lambda line: None)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["mine.txt"]

@@ -50,6 +50,16 @@ def test_a_push_without_numbers_says_why_in_its_row():
     assert row["missing"] == "no usable frame without force"
 
 
+def test_a_curve_between_other_end_vertebrae_says_so_in_its_row(finished):
+    found = Responses.model_validate_json((finished.folder / "results/response.json").read_text())
+    push, one = next(iter(found.pushes.items()))
+    text = response_csv(
+        found.model_copy(update={"pushes": {push: one.model_copy(update={"instead_of": ("T3", "L4")})}})
+    )
+    told = {row["quantity"]: row["instead_of"] for row in csv.DictReader(text.splitlines())}
+    assert told == {"curve": "T3-L4", "tilt": "", "flexibility": ""}
+
+
 def test_the_estimate_s_csv_has_its_numbers(finished):
     results = finished.folder / "results"
     found, told = read_json(results / "estimate.json"), rows(results / "estimate.csv")

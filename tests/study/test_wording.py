@@ -379,6 +379,15 @@ def test_a_curve_that_a_push_turns_over_is_told(rest, change, words):
     assert found == f"5.0° without force, {words}"
 
 
+def test_a_curve_between_other_end_vertebrae_is_told():
+    curve, share = answered(("T5", "T11"), -17.5, (2.9, 3.4286, 4.12)), Flexibility(percent=70.0, low=61.0, high=81.2)
+    (told,) = lines_of(tilt=curve, curve=curve, flexibility=share, instead_of=("T4", "T11"))[3:]
+    assert told == (
+        "push 'main': the curve is T5–T11, not the rest picture's T4–T11, of which no frame without force or none "
+        "under a force shows both end vertebrae"
+    )
+
+
 def test_response_lines_of_what_is_not_known():
     curve = answered(("T5", "T11"), 0.3, (47.3, None, None), scatter=3.14, rest=0.4)
     nothing = Flexibility(percent=None, low=None, high=None)

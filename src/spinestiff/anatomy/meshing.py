@@ -75,6 +75,13 @@ def refuse_unknown_mesher(name: str) -> None:
         raise TorsoError(f"no mesher '{name}'; installed: {', '.join([DEFAULT_MESHER, *sorted(offered)])}")
 
 
+def refuse_spacing(spacing: float) -> None:
+    """Raise TorsoError unless tissue can be meshed with its corners that far apart, mm."""
+    low, high = SPACINGS_MM
+    if not low <= spacing <= high:
+        raise TorsoError(f"spacing {spacing:g} mm; wanted {low:g} to {high:g} mm")
+
+
 def find_mesher(name: str) -> Mesher:
     """A mesher by name: "mmg", or one that an installed package offers in the group ``spinestiff.meshers``.
 
@@ -116,11 +123,9 @@ def mesh_tissue(
 
     Raises
     ------
-    TorsoError : no mesher; no try passes the quality gate; a bone has too few nodes.
+    TorsoError : as ``refuse_spacing``; no mesher; no try passes the quality gate; a bone has too few nodes.
     """
-    low, high = SPACINGS_MM
-    if not low <= spacing <= high:
-        raise TorsoError(f"spacing {spacing:g} mm; wanted {low:g} to {high:g} mm")
+    refuse_spacing(spacing)
     improve, say = find_mesher(mesher), observer or (lambda line: None)
     best: tuple[float, Floats, Ints, float] | None = None
     failures: list[str] = []

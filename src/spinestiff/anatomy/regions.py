@@ -99,9 +99,17 @@ def parameter_groups(torso: TorsoModel, names: Sequence[str]) -> tuple[Parameter
 
     Raises
     ------
-    TorsoError : as ``check_parameters``, or the torso has nothing of a group at its part.
+    TorsoError : as ``check_parameters``; the torso has nothing of a group at its part; two groups are the same, so that
+        only the product of their ratios could be told.
     """
-    return tuple(_group(torso, name) for name in expanded(torso, names))
+    groups = tuple(_group(torso, name) for name in expanded(torso, names))
+    known: dict[tuple[bytes | bool, ...], str] = {}
+    for group in groups:
+        elements = group.elements_of(len(torso.tissue.elements)) if group.mu or group.lambda_ else np.zeros(0, bool)
+        same = known.setdefault((group.joints.tobytes(), group.mu, group.lambda_, elements.tobytes()), group.name)
+        if same != group.name:
+            raise TorsoError(f"'{same}' and '{group.name}' scale the same stiffnesses of this torso; leave one out")
+    return groups
 
 
 def torso_ratios(torso: TorsoModel, ratios: Mapping[str, float]) -> StiffnessRatios:

@@ -99,7 +99,9 @@ def _of_folder(
     else:
         tables.show(tables.cobb_table(cobb_rows(frames)))
         if len(frames) > 1:
-            for line in response_lines(push_responses(subject)):
+            if definition != "endplate":
+                print("N per degree and flexibility are by endplates, whatever the table is by")
+            for line in response_lines(push_responses(subject, noise_px=noise_px)):
                 print(line)
     return 0
 

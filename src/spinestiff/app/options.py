@@ -113,7 +113,7 @@ def height_limits() -> tuple[float, float]:
 
 def own_height_limits() -> tuple[float, float]:
     """cm, of a torso of one's own bones."""
-    from spinestiff.anatomy.importing import HEIGHTS_CM
+    from spinestiff.anatomy.importing.naming import HEIGHTS_CM
 
     return HEIGHTS_CM
 

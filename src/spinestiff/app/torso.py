@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -99,10 +98,10 @@ def import_(
     """Make a torso of one's own bone meshes; says unit, axes and repairs, and refuses what it can't trust."""
     from spinestiff.anatomy.importing import import_torso
     from spinestiff.app.progress import progress
+    from spinestiff.files import check_whole_folder
     from spinestiff.study.imported import write_imported
 
-    if os.path.lexists(out) and not (out.is_dir() and not any(out.iterdir())):
-        raise TorsoError(f"{out} exists and is no empty folder; name a new one")
+    check_whole_folder(out, TorsoError)
     with progress() as say:
         found = import_torso(
             folder, mapping=mapping, unit=unit, axes=axes, skin=skin, spacing_mm=spacing, height_cm=height,
@@ -205,6 +204,7 @@ def _format(kind: str | None, out: Path | None) -> str:
 def _export_drawn(folder: Path | None, kind: str, out: Path | None, draws: int) -> None:
     from spinestiff.anatomy.export import FORMATS
     from spinestiff.app.progress import progress
+    from spinestiff.files import check_whole_folder
     from spinestiff.study.drawn import TABLE, check_format, drawn_ratios, export_drawn
     from spinestiff.study.visit import open_visit
     from spinestiff.subject.output_places import check_output_beside
@@ -213,8 +213,7 @@ def _export_drawn(folder: Path | None, kind: str, out: Path | None, draws: int) 
     if folder is None or not folder.is_dir() or out is None:
         raise TorsoError("--draws are of a subject's estimate; wanted a subject folder, and --out a new folder")
     check_format(kind)
-    if os.path.lexists(out) and not (out.is_dir() and not any(out.iterdir())):
-        raise TorsoError(f"{out} exists and is no empty folder; name a new one")
+    check_whole_folder(out, TorsoError)
     check_output_beside(folder, out / TABLE, "--out", force=False)
     with progress() as say:
         found = drawn_ratios(open_visit(folder), draws)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from spinestiff.arrays import Floats
-from spinestiff.curves.cobb import DEFINITIONS, Definition, tilt_sds, tracked_tilt_sds, usual_noise
+from spinestiff.curves.cobb import DEFINITIONS, Definition, check_reading, tilt_sds, tracked_tilt_sds, usual_noise
 from spinestiff.curves.tilts import CobbChange, cobb_change, tilts_from_points
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
@@ -51,7 +51,12 @@ def change_between(
     Returns
     -------
     None with fewer than two vertebrae in both.
+
+    Raises
+    ------
+    SpinestiffError : as ``check_reading``.
     """
+    check_reading(definition, noise)
     common = tuple(name for name in rest.vertebrae if name in pushed.vertebrae)
     if len(common) < 2:
         return None

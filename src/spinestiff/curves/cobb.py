@@ -173,6 +173,14 @@ class CobbReading:
         }
 
 
+def check_reading(definition: str, noise: float | None) -> None:
+    """Raise SpinestiffError for an unknown definition, and for a noise of corners that can't be one; None is usual."""
+    if definition not in DEFINITIONS:
+        raise SpinestiffError(f"unknown definition '{definition}'; wanted {' or '.join(DEFINITIONS)}")
+    if noise is not None and not 0.0 <= noise < np.inf:
+        raise SpinestiffError(f"noise of corners: found {noise}, wanted a finite number of 0 or more")
+
+
 def read_cobb(
     image: ImageCorners | UnreadableImage,
     definition: Definition = "endplate",
@@ -188,7 +196,12 @@ def read_cobb(
         "midline": the line between the middles of left and right side, of both.
     noise : standard deviation of each corner's coordinates in the corners' unit; None = 2 % of the median width.
     patient_left : the side of the image where the patient's left lies, if it is known and the file doesn't tell.
+
+    Raises
+    ------
+    SpinestiffError : as ``check_reading``.
     """
+    check_reading(definition, noise)
     if isinstance(image, UnreadableImage):
         return CobbReading(image.image, "refused", (image.reason,), definition)
     try:
@@ -258,8 +271,9 @@ def spine_curves(
 
     Raises
     ------
-    SpinestiffError : as ``curves.tilts.tilts_from_points`` does.
+    SpinestiffError : as ``check_reading`` and ``curves.tilts.tilts_from_points`` do.
     """
+    check_reading(definition, noise)
     spine = tilts_from_points(levels, points, DEFINITIONS[definition])
     main = cobb_angle(spine)
     largest = (main.degrees, levels.index(main.upper), levels.index(main.lower))

@@ -70,7 +70,7 @@ def cobb_frames(
         return frames
     for push, found in read_outcome(subject, Tracked).pushes.items():
         forces, view = frame_forces(subject.push(push), found), found.view.view()
-        noise = None if noise_px is None else _noise_mm(noise_px, view) / view.magnification
+        noise = _noise_mm(noise_px, view, view.magnification)
         usable = [usable_corners(found.corners(i)) for i in range(len(found.frames))]
         shown = [index for index, corners in enumerate(usable) if len(corners) > 1]
         least = min(shown, key=lambda index: forces[index], default=0)
@@ -106,8 +106,12 @@ def annotated_frame(push: TrackedPush, frame: int) -> int:
     return min(push.annotated_frames, key=lambda one: abs(one - frame), default=0)
 
 
-def push_responses(subject: Subject, gauge: GaugeError = GAUGE) -> Responses:
-    """N per degree and flexibility of every push, from the tracked frames; no model is asked.
+def push_responses(subject: Subject, gauge: GaugeError = GAUGE, noise_px: float | None = None) -> Responses:
+    """N per degree and flexibility of every push, from the tracked frames, by endplates; no model is asked.
+
+    Parameters
+    ----------
+    gauge : its errors. noise_px : as ``cobb_frames``.
 
     Raises
     ------
@@ -115,17 +119,14 @@ def push_responses(subject: Subject, gauge: GaugeError = GAUGE) -> Responses:
         read.
     """
     tracked = read_outcome(subject, Tracked).pushes
-    view = read_rest(subject, "frontal").view
-    at_rest = image_corners(subject, "rest/frontal", view)
-    rest = tilts(at_rest.vertebrae, at_rest.corners, view)
-    return Responses(
-        gauge_scale_sd=gauge.scale,
-        gauge_zero_sd_n=gauge.zero_n,
-        pushes={
-            name: push_response(seen_frames(found, frame_forces(subject.push(name), found)), rest, gauge)
-            for name, found in tracked.items()
-        },
-    )
+    at_rest = read_rest(subject, "frontal").view
+    corners = image_corners(subject, "rest/frontal", at_rest)
+    rest = tilts(corners.vertebrae, corners.corners, at_rest)
+    pushes = {}
+    for name, found in tracked.items():
+        frames, view = seen_frames(found, frame_forces(subject.push(name), found)), found.view.view()
+        pushes[name] = push_response(frames, rest, gauge, _noise_mm(noise_px, view, view.magnification))
+    return Responses(gauge_scale_sd=gauge.scale, gauge_zero_sd_n=gauge.zero_n, pushes=pushes)
 
 
 def seen_frames(push: TrackedPush, forces_n: Sequence[float]) -> list[FrameCorners]:
@@ -160,12 +161,12 @@ def reading_of(
 ) -> CobbReading:
     """The Cobb angles of corners on the detector of a frontal view; tracked ones err as their quality says, too."""
     left, up = picture_axes(view)
-    noise = None if noise_px is None else _noise_mm(noise_px, view)
+    noise = _noise_mm(noise_px, view)
     tracking = np.where(corners.quality < 1.0, view.magnification * tracked_noise(corners.quality), 0.0)
     points = corners.corners @ np.stack([left, up], axis=1)
     return read_cobb_of_view(image, corners.vertebrae, points, definition, noise, tracking)
 
 
-def _noise_mm(noise_px: float, view: XRayView) -> float:
-    """On the detector."""
-    return noise_px * float(view.pixel_spacing.mean())
+def _noise_mm(noise_px: float | None, view: XRayView, magnification: float = 1.0) -> float | None:
+    """On the detector, or with the view's magnification at the patient plane."""
+    return None if noise_px is None else noise_px * float(view.pixel_spacing.mean()) / magnification

@@ -16,7 +16,7 @@ import numpy as np
 
 from spinestiff.arrays import Floats
 from spinestiff.curves.changes import LEAST_ERROR_MM
-from spinestiff.curves.cobb import tilt_sds, usual_noise
+from spinestiff.curves.cobb import check_reading, tilt_sds, usual_noise
 from spinestiff.curves.tilts import SpineTilts, cobb_angle, cobb_change, tilts_from_points
 from spinestiff.errors import SpinestiffError
 from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
@@ -115,48 +115,70 @@ class _Followed:
         return int(np.flatnonzero(self.forces == 0.0)[0])
 
 
-def push_response(frames: Sequence[FrameCorners], rest: SpineTilts, gauge: GaugeError = GAUGE) -> PushResponse:
+def push_response(
+    frames: Sequence[FrameCorners], rest: SpineTilts, gauge: GaugeError = GAUGE, noise: float | None = None
+) -> PushResponse:
     """What the frames of one push say without a model.
 
     Parameters
     ----------
     frames : in order; those that show fewer than two whole vertebrae do not count. Without one of no force, or without
         a loaded one, ``missing`` says so.
-    rest : of the rest picture, which chooses the Cobb angle's end vertebrae. Chosen in the frame that is measured, the
-        largest angle of many would be too large by its own noise.
+    rest : of the whole rest picture, which chooses the Cobb angle's end vertebrae. Chosen in the frame that is
+        measured, the largest angle of many would be too large by its own noise. Where no frame without force or none
+        under a force shows both, ``instead_of`` has them, and the curve is the rest picture's largest angle of the
+        vertebrae that were followed.
     gauge : its errors.
+    noise : standard deviation of an annotated corner's coordinates, mm at the patient plane; None = 2 % of the
+        vertebrae's median width.
+
+    Raises
+    ------
+    SpinestiffError : as ``curves.cobb.check_reading`` for the noise.
     """
+    check_reading("endplate", noise)
     frames = [frame for frame in frames if len(frame.whole) > 1]
-    force = max((frame.force_n for frame in frames), default=0.0)
-    start = next((frame for frame in frames if frame.force_n == 0.0), None)
-    if start is None or force == 0.0:
-        without = "without force" if start is None else "under a force"
+    measured = _first_and_most(frames)
+    if measured is None:
+        force = max((frame.force_n for frame in frames), default=0.0)
+        without = "under a force" if any(frame.force_n == 0.0 for frame in frames) else "without force"
         return PushResponse(force_n=force, missing=f"no usable frame {without}")
-    most = max(frames, key=lambda frame: frame.force_n)
+    end = cobb_angle(rest)
+    shown = _first_and_most([frame for frame in frames if {end.upper, end.lower} <= set(frame.whole)])
+    start, most = shown or measured
     common = tuple(name for name in start.whole if name in most.whole)
-    named = tuple(name for name in common if name in rest.vertebrae)
-    if len(named) < 2:
-        return PushResponse(
-            force_n=force, missing=f"frames {start.frame} and {most.frame} show fewer than two vertebrae in common"
-        )
-    end = cobb_angle(rest.selected(named))
+    instead_of = None
+    if shown is None:
+        named = tuple(name for name in common if name in rest.vertebrae)
+        if len(named) < 2:
+            few = f"frames {start.frame} and {most.frame} show fewer than two vertebrae in common"
+            return PushResponse(force_n=most.force_n, missing=few)
+        instead_of, end = (end.upper, end.lower), cobb_angle(rest.selected(named))
     tilt_levels = cobb_change(start.tilts(common), most.tilts(common)).tilt_levels
-    curve = _followed(frames, (end.upper, end.lower))
+    curve = _followed(frames, (end.upper, end.lower), noise)
     return PushResponse(
-        force_n=force,
-        tilt=_response(_followed(frames, tilt_levels), most, gauge, CHOSEN_95),
+        force_n=most.force_n,
+        tilt=_response(_followed(frames, tilt_levels, noise), most, gauge, CHOSEN_95),
         curve=_response(curve, most, gauge, HALF_WIDTH_95),
         flexibility=_flexibility(curve, most),
+        instead_of=instead_of,
     )
 
 
-def _followed(frames: Sequence[FrameCorners], levels: tuple[str, str]) -> _Followed:
+def _first_and_most(frames: Sequence[FrameCorners]) -> tuple[FrameCorners, FrameCorners] | None:
+    """The first frame without force and that of the largest; None where there is no such or no loaded one."""
+    start = next((frame for frame in frames if frame.force_n == 0.0), None)
+    most = max(frames, key=lambda frame: frame.force_n, default=None)
+    return None if start is None or most is None or most.force_n == 0.0 else (start, most)
+
+
+def _followed(frames: Sequence[FrameCorners], levels: tuple[str, str], noise: float | None) -> _Followed:
     seen = tuple(frame for frame in frames if set(levels) <= set(frame.whole))
     angle, annotation, tracking = [], [], []
     for frame in seen:
         points, errors = frame.of(levels)
         angle.append(frame.tilts(levels).cobb_degrees(*levels))
-        annotation.append(_pair_sd(points, usual_noise(frame.of(frame.whole)[0])))
+        annotation.append(_pair_sd(points, usual_noise(frame.of(frame.whole)[0]) if noise is None else noise))
         # A predicted error is a distance in the plane, a noise that of one coordinate.
         tracking.append(_pair_sd(points, errors / np.sqrt(2.0)))
     return _Followed(levels, seen, np.array(angle), np.array(annotation), np.array(tracking))

@@ -23,7 +23,7 @@ ESTIMATE_COLUMNS = (
 )  # fmt: skip
 RESPONSE_COLUMNS = (
     "push", "force_n", "quantity", "unit", "value", "low95", "high95", "upper_level", "lower_level", "rest_deg",
-    "change_deg", "change_half_width95_deg", "missing",
+    "change_deg", "change_half_width95_deg", "instead_of", "missing",
 )  # fmt: skip
 SEEN = ("measured", "default", "fit", "forecast", "truth")
 """Whose change of the Cobb angle is told, as far as an assessment has it."""
@@ -45,6 +45,7 @@ def response_csv(responses: Responses) -> str:
                     **push, "quantity": quantity, "unit": "N/degree", "value": n.value, "low95": n.low,
                     "high95": n.high, "upper_level": upper, "lower_level": lower, "rest_deg": angle.rest_deg,
                     "change_deg": angle.change_deg, "change_half_width95_deg": HALF_WIDTH_95 * angle.change_sd_deg,
+                    "instead_of": "-".join(found.instead_of) if found.instead_of and quantity == "curve" else None,
                 })  # fmt: skip
         if (share := found.flexibility) is not None:
             ends = {"value": share.percent, "low95": share.low, "high95": share.high}

@@ -448,6 +448,11 @@ def response_texts(push: PushResponse) -> list[str]:
         f"{force_per_degree(push.tilt)} N per degree of {tilt}, the most that any two turned",
         f"flexibility at {push.force_n:g} N: {flexibility(push.flexibility)}; {changed(push.curve)}",
     ]
+    if push.instead_of is not None:
+        texts.append(
+            f"the curve is {_levels(push.curve)}, not the rest picture's {'–'.join(push.instead_of)}, of which no "
+            "frame without force or none under a force shows both end vertebrae"
+        )
     wide = [(what, one.scatter) for what, one in (("the curve", push.curve), (tilt, push.tilt)) if one.scatter]
     texts += [
         f"{what} is off a straight line over the force by {number(scatter, 2)} times its errors; its interval allows "

@@ -324,9 +324,10 @@ class PushResponse(Outcome):
 
     Attributes
     ----------
-    force_n : the largest in a usable frame.
+    force_n : the largest in a frame that shows the curve's end vertebrae.
     tilt : of the largest change of tilt between two vertebrae, chosen at that force.
-    curve : of the Cobb angle between the end vertebrae of the rest picture.
+    curve : of the Cobb angle between the end vertebrae of the rest picture's largest angle.
+    instead_of : those end vertebrae where too few frames show both, so that ``curve`` is between others.
     missing : why there are no numbers, or empty.
     """
 
@@ -334,6 +335,7 @@ class PushResponse(Outcome):
     tilt: AngleResponse | None = None
     curve: AngleResponse | None = None
     flexibility: Flexibility | None = None
+    instead_of: tuple[VertebraName, VertebraName] | None = None
     missing: str = ""
 
     @model_validator(mode="after")

@@ -11,11 +11,11 @@ from spinestiff.files import check_output
 from spinestiff.subject.records import RESULTS, SUBJECT_FILE
 
 READ_AGAIN = (
-    "run.json", "tracked.json", "response.json", "frames.json", "torso.npz", "personalised.json", "training.npz",
-    "estimate.json", "predictions.npz", "assessment.json", "comparison.json", "plan.json",
-    "parameters.json", "sensitivity.json",
+    "run.json", "tracked.json", "response.json", "frames.json", "torso.npz", "torso_coarse.npz", "personalised.json",
+    "training.npz", "estimate.json", "posterior.csv", "predictions.npz", "assessment.json", "comparison.json",
+    "plan.json", "parameters.json", "sensitivity.json",
 )  # fmt: skip
-"""Files in ``results/`` that steps and tables read; the rest is for people."""
+"""Files in ``results/`` that steps and tables read, and ``torso export``; the rest is for people."""
 
 
 def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -> None:

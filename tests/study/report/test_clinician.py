@@ -112,6 +112,10 @@ def test_pictures_of_other_end_vertebrae_than_the_table_say_so() -> None:
     assert other_ends(responses, "main", ("T5", "T11")) == (
         " The pictures keep these end vertebrae; the table keeps those of the radiograph at rest, T6–T11."
     )
+    others = {"main": seen.model_copy(update={"instead_of": ("T5", "T11")})}
+    assert other_ends(responses.model_copy(update={"pushes": others}), "main", ("T5", "T11")).endswith(
+        "the table keeps T6–T11."
+    )
 
 
 def test_what_to_distrust_comes_gravest_first(finished, subject: Path) -> None:

@@ -1,4 +1,4 @@
-"""What programs of rigid bodies need of a bone beyond its place: mass and inertia, and names without odd characters."""
+"""What programs of rigid bodies need of a torso: mass and inertia of its bones, that it is at rest, numbers as text."""
 
 from __future__ import annotations
 

@@ -10,12 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from spinestiff.anatomy.importing.carried_skin import generated_skin, refuse_bones_outside, section_middle
-from spinestiff.anatomy.importing.naming import BoneFiles, find_files
+from spinestiff.anatomy.importing.naming import HEIGHTS_CM, BoneFiles, find_files
 from spinestiff.anatomy.importing.orienting import Placement, find_placement, refuse_large_skin
 from spinestiff.anatomy.importing.placing import Skeleton, landmarks, place_joints, rest_frames, template_column_mm
 from spinestiff.anatomy.importing.reading import read_surface
 from spinestiff.anatomy.importing.repairing import repaired
-from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, MeshedTissue, mesh_tissue, refuse_unknown_mesher
+from spinestiff.anatomy.meshing import (
+    DEFAULT_MESHER,
+    SKIN_SHARE,
+    MeshedTissue,
+    mesh_tissue,
+    refuse_spacing,
+    refuse_unknown_mesher,
+)
 from spinestiff.anatomy.names import BONE_INDEX, BONES, JOINTS
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rounding import rounded
@@ -31,7 +38,6 @@ __all__ = ["DEFAULT_SPACING_MM", "ImportedTorso", "import_torso"]
 
 DEFAULT_SPACING_MM = 28.0
 TEMPLATE_HEIGHT_CM = 157.0
-HEIGHTS_CM = (90.0, 230.0)
 MOST_UNLIKE = 1.5  # of a stated height and that of the spine's length; an inch is 2.54 cm
 
 
@@ -89,6 +95,7 @@ def import_torso(
     """
     say = heard(observer, logging.getLogger(__name__))
     refuse_unknown_mesher(mesher)
+    refuse_spacing(spacing_mm)
     files = find_files(Path(folder), *(None if path is None else Path(path) for path in (mapping, skin)))
     say(f"read: {sum(map(len, files.bones.values()))} meshes")
     raw = {name: [(path.name, read_surface(path)) for path in files.bones[name]] for name in BONES}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -12,12 +10,14 @@ from typing import Any
 
 from spinestiff.anatomy.importing.reading import SUFFIXES
 from spinestiff.anatomy.names import BONES
-from spinestiff.errors import TorsoError
-from spinestiff.files import regular_file
+from spinestiff.errors import SubjectError, TorsoError
+from spinestiff.files import read_text
+from spinestiff.formats import parse_json
 
 SKIN = "skin"
 MOST_FILES = 500
-MOST_MAPPING_BYTES = 1_000_000
+MOST_MAPPING_BYTES = 2**20
+HEIGHTS_CM = (90.0, 230.0)
 KEYS = ("bones", "ignore", "skin", "unit", "axes", "height_cm")
 _SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
 _SIDED = {
@@ -53,7 +53,7 @@ class BoneFiles:
 
 
 def find_files(folder: Path, mapping: Path | None = None, skin: Path | None = None) -> BoneFiles:
-    """The files of all 49 bones in a folder.
+    """The files of all 49 bones in a folder; hidden files are passed by.
 
     Parameters
     ----------
@@ -65,9 +65,12 @@ def find_files(folder: Path, mapping: Path | None = None, skin: Path | None = No
         mapping that names what isn't there.
     """
     try:
-        inside = sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in SUFFIXES)
+        meshes = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+        inside = sorted(path for path in meshes if not path.name.startswith("."))
     except OSError as error:
         raise TorsoError(f"{folder}: {(error.strerror or 'unreadable').lower()}; wanted a folder of meshes") from None
+    except ValueError:  # a zero byte
+        raise TorsoError(f"{str(folder)!r}: no name of a folder") from None
     if not inside:
         raise TorsoError(f"{folder} holds no mesh; wanted files that end in {', '.join(SUFFIXES)}")
     if len(inside) > MOST_FILES:
@@ -217,26 +220,17 @@ def _height(mapping: Path, record: Mapping[str, Any]) -> float | None:
     value = record.get("height_cm")
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise TorsoError(f'{mapping.name}: "height_cm" is no number')
+    low, high = HEIGHTS_CM
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise TorsoError(f'{mapping.name}: "height_cm" is no number from {low:g} to {high:g}')
     return float(value)
 
 
 def _read_mapping(path: Path) -> dict[str, Any]:
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        for key in (names := [key for key, _ in pairs]):
-            if names.count(key) > 1:
-                raise TorsoError(f"{path.name}: {key[:40]!r} stands there twice")
-        return dict(pairs)
-
     try:
-        if regular_file(path, TorsoError).st_size > MOST_MAPPING_BYTES:
-            raise TorsoError(f"{path.name} is no mapping file: larger than {MOST_MAPPING_BYTES / 1e6:g} MB")
-        record = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=once)
-    except OSError as error:
-        raise TorsoError(f"{path}: {(error.strerror or 'unreadable').lower()}") from None
-    except (ValueError, RecursionError) as error:
-        raise TorsoError(f"{path.name} is no JSON ({' '.join(str(error).split())[:100]})") from None
+        record = parse_json(read_text(path, MOST_MAPPING_BYTES), path.name)
+    except SubjectError as error:
+        raise TorsoError(str(error)) from None
     if not isinstance(record, dict) or (unknown := [key for key in record if key not in KEYS]):
         found = f"unknown key {unknown[0][:40]!r}" if isinstance(record, dict) else "no object"
         raise TorsoError(f"{path.name}: {found}; wanted an object with the keys {', '.join(KEYS)}")

@@ -53,7 +53,8 @@ def read_surface(path: Path) -> Surface:
     if len(faces) > MOST_FACES:
         raise TorsoError(f"{path.name} has {len(faces):,} triangles; at most {MOST_FACES:,}, so thin it out")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise TorsoError(f"{path.name}: a triangle names vertex {int(faces.max())}, but there are {len(vertices)}")
+        wrong = int(faces.max() if faces.min() >= 0 else faces.min())
+        raise TorsoError(f"{path.name}: a triangle names vertex {wrong}, but there are {len(vertices)}, from 0 on")
     used, number = np.unique(faces, return_inverse=True)
     vertices = vertices[used]
     if not np.isfinite(vertices).all():
@@ -69,6 +70,11 @@ def _parsed(path: Path, kind: str, content: bytes) -> Surface:
             return read_vtp(content, MOST_VTP_BYTES)
         except VtpError as error:
             raise TorsoError(f"{path.name} can't be read as VTP: {error}") from None
+    # A zero byte is in no text, and in every binary STL.
+    if kind == ".stl" and b"\0" in content and len(content) != (whole := _binary_stl_bytes(content)):
+        raise TorsoError(
+            f"{path.name} has {len(content):,} bytes, but by its number of triangles {whole:,}; copy or export it again"
+        )
     import trimesh
 
     try:
@@ -126,12 +132,17 @@ def _corners_of_faces(content: bytes) -> set[int]:
     return corners
 
 
+def _binary_stl_bytes(content: bytes) -> int:
+    """How long a binary STL is by the number of triangles that it says; 84 at least, what comes before them."""
+    return 84 + 50 * int.from_bytes(content[80:84], "little")
+
+
 def _plain(content: bytes, kind: str) -> bytes:
     """A file with its text in ASCII, others' letters as question marks: they stand in names and comments alone, and
     trimesh reads no other text than UTF-8 without a package that guesses encodings.
     """
     end = len(content)
-    if kind == ".stl" and end >= 84 and end == 84 + 50 * int.from_bytes(content[80:84], "little"):
+    if kind == ".stl" and end == _binary_stl_bytes(content):
         end = 80  # binary behind its first line
     elif kind == ".ply" and b"format binary" in content[:1000]:
         end = max(content.find(b"end_header"), 0)

@@ -14,7 +14,8 @@ from spinestiff.anatomy.template.vertebrae import Spine
 from spinestiff.arrays import Floats
 
 # From the sternoclavicular to the acromioclavicular joint, direction (left, up, forward): the generic adult's vector
-# (126, 19, -13) mm yawed back by a further 12 degrees (design) to bring the scapula behind ribs 2 to 7.
+# (126, 19, -13) mm yawed back by a further 16 degrees and lowered by 3 (design), which brings the scapula behind ribs 2
+# to 7.
 _CLAVICLE_DIRECTION = np.array([0.925, 0.10, -0.366])
 _CLAVICLE_CHORD = 0.95 * sizes.CLAVICLE_LENGTH  # the S bends take about 5 % of the length
 
@@ -34,7 +35,8 @@ def left_girdle(spine: Spine, size: Proportions = REFERENCE) -> LeftGirdle:
     sternal = notch + np.array([size.thorax[0] * sizes.STERNOCLAVICULAR_HALF, size.spine, 0.0])
     direction = _CLAVICLE_DIRECTION / np.linalg.norm(_CLAVICLE_DIRECTION)
     acromial = sternal + size.shoulder * _CLAVICLE_CHORD * direction
-    # Acromioclavicular joint to humeral head: (8, -30, -8) mm in the generic adult.
+    # Acromioclavicular joint to humeral head: (8, -30, -8) mm in the generic adult; here 0.87 of it, 5 mm further
+    # forward (design).
     return LeftGirdle(sternal, acromial, acromial + size.shoulder * np.array([7.0, -26.0, -2.0]))
 
 

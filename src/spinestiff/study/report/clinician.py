@@ -314,10 +314,8 @@ def other_ends(responses: Responses, push: str, drawn: tuple[str, str]) -> str:
     found = responses.pushes.get(push)
     if found is None or found.curve is None or found.curve.levels == drawn:
         return ""
-    return (
-        f" The pictures keep these end vertebrae; the table keeps those of the radiograph at rest, "
-        f"{'–'.join(found.curve.levels)}."
-    )
+    whose = "those of the radiograph at rest, " if found.instead_of is None else ""
+    return f" The pictures keep these end vertebrae; the table keeps {whose}{'–'.join(found.curve.levels)}."
 
 
 def picture_words(kind: str, force_n: float, change: str, error_mm: float | None, moved_mm: float | None) -> str:

@@ -51,7 +51,9 @@ def write_picture(readings: Sequence[CobbReading], path: Path) -> None:
 
 
 def draw_readings(readings: Sequence[CobbReading]) -> Figure:
-    """One panel an image; of a refused one the reason."""
+    """One panel an image; of a refused one the reason. Raises SubjectError where there is none."""
+    if not readings:
+        raise SubjectError("no reading of Cobb angles to draw; wanted at least one")
     columns = min(len(readings), COLUMNS)
     rows = -(-len(readings) // columns)
     with rc_context({**STYLE, "axes.grid": False}):
