@@ -16,6 +16,7 @@ from spinestiff.anatomy.importing import import_torso
 from spinestiff.anatomy.importing.carried_skin import ROWS, _template_rows, refuse_bones_outside
 from spinestiff.anatomy.importing.orienting import axes_matrix
 from spinestiff.anatomy.importing.placing import template_column_mm
+from spinestiff.anatomy.mmg import NO_MMG
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.solids import enclosed
 from spinestiff.anatomy.template.surfaces import ball, loft, signed_volume
@@ -143,7 +144,7 @@ def test_an_unknown_mesher_is_said_before_any_work_a_missing_one_after_the_bones
     assert refusal(bone_folder, observer=told.append) == (
         'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
     )
-    assert [line.split(":")[0] for line in told] == ["read", "axes", "repair", "joints", "skin"]
+    assert [line.split(":")[0] for line in told] == ["note", "read", "axes", "repair", "joints", "skin"]
 
 
 def test_a_bone_outside_the_skin_is_named(template, template_bones):
@@ -338,3 +339,10 @@ def test_a_plug_in_is_found_by_its_entry_point(monkeypatch):
 def test_spacings_that_can_not_be_meant(template_bones, spacing):
     with pytest.raises(TorsoError, match="wanted 9 to 60 mm"):
         meshing.mesh_tissue(template_bones, ball(np.zeros(3), 300.0), spacing)
+
+
+def test_that_mmg_is_missing_is_told_before_the_bones_are_read(tmp_path, no_mesher):
+    lines = []
+    with pytest.raises(TorsoError):
+        import_torso(tmp_path, observer=lines.append)
+    assert lines == [f"note: {NO_MMG}; until then the bones are checked, and no torso is made"]

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import http.client
 import os
 import re
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from spinestiff.app import annotate as command
+from spinestiff.errors import SubjectError
 from spinestiff.loopback.serving import listening
 
 PROGRAM = [sys.executable, "-c", "from spinestiff.app.cli import main; main()", "annotate"]
@@ -61,3 +64,30 @@ def test_a_browser_is_opened_only_where_there_is_one(monkeypatch):
     assert not command.opened("http://127.0.0.1:1/") and asked == []
     monkeypatch.setitem(os.environ, "DISPLAY", ":0")
     assert command.opened("http://127.0.0.1:1/") and asked == ["http://127.0.0.1:1/"]
+
+
+def test_a_folder_that_can_not_be_written_is_refused_before_anything_is_served(unannotated, monkeypatch):
+    def refuse(self, *args, **kwargs):
+        raise OSError(errno.EROFS, "x", str(self))
+
+    def serve(*args):
+        raise AssertionError("it was served")
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    monkeypatch.setattr("spinestiff.annotate.server.serve", serve)
+    with pytest.raises(SubjectError, match=r"girl: can't be written \(the file system is read-only\), but marks go"):
+        command.annotate_folder(unannotated, 0, False)
+
+
+def test_without_marks_the_template_is_shown(unannotated, tmp_path):
+    out = tmp_path / "page of a girl.html"
+    folder = unannotated.rename(tmp_path / "a girl")
+    done = subprocess.run(
+        [*PROGRAM[:-1], "view", str(folder), "--out", str(out), "--no-open"], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert "the template at the subject’s height, at rest" in done.stdout
+    # The command stands there as a terminal takes it.
+    page = out.read_text(encoding="utf-8")
+    assert f'spinestiff run "{folder}"' in done.stdout and "spinestiff run &#34;a girl&#34;" in page
+    assert str(tmp_path) not in page

@@ -705,3 +705,10 @@ def test_such_a_picture_may_have_pixels_that_are_not_square(unannotated):
     (frame,) = AnnotationSession(unannotated).radiographs.frames("rest/frontal")
     across, down = frame.view.pixel_spacing
     np.testing.assert_allclose(down / across, 1.2, rtol=1e-6)
+
+
+def test_an_image_that_the_subject_has_not_is_told_of_the_file(session):
+    corners = [("top_left", 1, 1), ("top_right", 9, 1), ("bottom_right", 9, 9), ("bottom_left", 1, 9)]
+    rows = [f"{name},T2,{corner},{x},{y}" for name in ("rest/frontal", "nobody") for corner, x, y in corners]
+    with pytest.raises(SubjectError, match=r"^mine\.csv: images\.nobody: unknown image"):
+        imported(session, "mine.csv", "\n".join(["image,level,corner,x,y", *rows]), "rest/frontal")

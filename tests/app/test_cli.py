@@ -278,6 +278,14 @@ def test_every_step_runs_by_its_own_name(spinestiff, subject, finished, no_repor
     assert (reported.status, reported.out) == (0, f"report: {subject / 'results' / 'report.html'}\n")
 
 
+def test_a_push_from_the_wrong_side_is_told_by_the_response(spinestiff, subject):
+    assert "doubtful" not in spinestiff("response", subject).out
+    edit("subject.json", lambda content: content["pushes"][0].update(side="right"))(subject)
+    (line,) = [line for line in spinestiff("response", subject).out.splitlines() if line.startswith("doubtful: ")]
+    assert re.match(r"doubtful: push 'main': at 30 N the spine has moved by \d+\.\d mm against the push from the", line)
+    assert "look for the wrong side in subject.json" in line
+
+
 def test_without_truth_there_is_none_in_the_assessment(spinestiff, subject, monkeypatch):
     """The baseline's fit is left out: what counts is what reaches the file."""
     monkeypatch.setattr(steps, "single_ratio", lambda *args: None)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 
 import pytest
 
 from spine_images import image
 from spinestiff.curves.corner_files import write_corners
 from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses
+from spinestiff.files import read_json, write_json
 from spinestiff.study.report.clinician import clinician_content
 from spinestiff.study.report.viewer.page import component
 from spinestiff.study.visit import open_visit
@@ -208,3 +210,14 @@ def test_the_cobb_angle_is_the_same_everywhere(finished, viewed, spinestiff, tmp
     assert len(rows) > 4
     for push, frame, force, *_, said in rows:
         assert shown[f"{push} frame {frame}, {float(force):.0f} N"] == said
+
+
+def test_forces_that_may_be_in_another_unit_are_told(spinestiff, radiographed, tmp_path):
+    folder = shutil.copytree(radiographed, tmp_path / "girl")
+    record = read_json(folder / "subject.json")
+    for push in record["pushes"]:
+        push["forces_n"] = [round(force / 9.81, 2) for force in push["forces_n"]]
+    write_json(folder / "subject.json", record)
+    words = "warning: push 'main': forces up to 3.06 N, where pushes on the ribs have 15 to 150 N: look whether"
+    for command in ("cobb", "response"):
+        assert words in spinestiff(command, folder).err

@@ -17,7 +17,7 @@ from hospital import CANARY, disc, export, gauged
 from spinestiff.app import questions
 from spinestiff.app.init import Asked, force_words, make_subject
 from spinestiff.errors import OptionError, SpinestiffError
-from spinestiff.files import read_json
+from spinestiff.files import read_json, write_json
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake.making import Given
@@ -355,11 +355,11 @@ def test_what_is_open_is_filled_and_nothing_else_changes(spinestiff, tmp_path, s
     assert done.status == 2 and "nothing is missing" in done.err
     assert "nothing changes (sex: stays female, male was given; change it in subject.json)" in done.err
     # X-ray geometry is nothing that is open: it can be given where the files or subject.json have none.
-    done = spinestiff("init", out, "--imager-pixel", 0.139, "--sex", "male")
+    done = spinestiff("init", out, "--imager-pixel", 0.417, "--sex", "male")
     assert done.status == 0 and "sex: stays female, male was given; change it in subject.json" in done.out
-    assert json.loads((out / "subject.json").read_text())["xray"] == {"imager_pixel_mm": 0.139}
+    assert json.loads((out / "subject.json").read_text())["xray"] == {"imager_pixel_mm": 0.417}
     done = spinestiff("init", out, "--imager-pixel", 0.2)
-    assert done.status == 2 and "xray.imager_pixel_mm: stays 0.139, 0.2 was given" in done.err
+    assert done.status == 2 and "xray.imager_pixel_mm: stays 0.417, 0.2 was given" in done.err
     assert "belongs to DICOM files" in spinestiff("init", out, "--pushes", table).err
     assert "no such file; name the DICOM files" in spinestiff("init", tmp_path / "nowhere").err
 
@@ -405,10 +405,10 @@ def test_geometry_that_is_null_is_filled_as_geometry_that_is_left_out(spinestiff
     spinestiff("init", out, source, *PERSON)
     path = out / "subject.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "xray": {"imager_pixel_mm": None, "images": None}}))
-    done = spinestiff("init", out, "--imager-pixel", 0.4, "--source-patient", "rest/lateral=1700")
+    done = spinestiff("init", out, "--imager-pixel", 0.417, "--source-patient", "rest/lateral=1300")
     assert done.status == 0 and "stays" not in done.out, done.err
     assert json.loads(path.read_text())["xray"] == {
-        "imager_pixel_mm": 0.4, "images": {"rest/lateral": {"source_patient_mm": 1700.0}}
+        "imager_pixel_mm": 0.417, "images": {"rest/lateral": {"source_patient_mm": 1300.0}}
     }  # fmt: skip
 
 
@@ -682,3 +682,36 @@ def test_a_name_of_several_pushes_is_not_told_as_missing(spinestiff, tmp_path, s
 )
 def test_forces_of_many_frames_are_told_by_the_least_and_the_largest(forces, words):
     assert force_words(forces) == words
+
+
+def test_geometry_that_a_picture_contradicts_is_refused_before_anything_is_written(spinestiff, tmp_path, source):
+    out = tmp_path / "girl"
+    done = spinestiff("init", out, source, *PERSON, "--source-detector", 1234)
+    (line,) = [line for line in done.lines if line.startswith("spinestiff: ")]
+    assert done.status == 2 and not out.exists()
+    assert "rest/frontal: IM000001: DistanceSourceToDetector: found " in line and line.endswith("; nothing is written")
+    assert spinestiff("init", out, source, *PERSON).status == 0
+    before = bytes_of(out)
+    for option, value in (("--source-detector", 1234), ("--imager-pixel", "push/push-1=0.9")):
+        done = spinestiff("init", out, option, value)
+        assert done.status == 2 and done.err.endswith("; nothing is written\n")
+        assert bytes_of(out) == before
+    # What a picture contradicted before keeps nothing else from being filled.
+    data = read_json(out / "subject.json") | {"xray": {"source_detector_mm": 1234.0}}
+    write_json(out / "subject.json", data)
+    assert spinestiff("init", out, "--side", "left").status == 0
+
+
+def test_how_to_read_a_log_again_is_told_and_works(spinestiff, logged):
+    folder, true = logged
+    out, log = folder / "girl", ("--log", folder / "gauge.csv", "--log-offset")
+    done = spinestiff("init", out, folder / "in", *PERSON, *SITE, *log, 5.5)
+    again = "to read a force log again, write null for each of the push's forces_n in subject.json"
+    assert done.status == 0 and f"if the offset is wrong ({again})" in done.out
+    done = spinestiff("init", out, *log, 3.1)
+    assert done.status == 2 and done.err.endswith(f"nothing is missing in it; {again}\n")
+    data = read_json(out / "subject.json")
+    data["pushes"][0]["forces_n"] = [None] * 30
+    write_json(out / "subject.json", data)
+    assert spinestiff("init", out, *log, 3.1).status == 0
+    np.testing.assert_allclose(read_unannotated(out).pushes[0].forces_n, true, atol=0.6)

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -128,7 +129,7 @@ def test_semicolons_tabs_and_decimal_commas_are_read(table, separator):
         (text("a\x1b[31m,T5,top_left,1,2"), "row 2: image name holds characters"),
         (text('"a,T5,top_left,1,2'), "not CSV"),
         (text('"' + "a" * 200_000 + '",T5,top_left,1,2'), "not CSV"),
-        (b"\xff\xfe\x00", "not UTF-8"),
+        (b"a\x00b", "no text; export the table as CSV"),
     ],
 )
 def test_a_file_that_is_no_table_of_corners_is_refused(table, content, words):
@@ -398,3 +399,17 @@ def test_files_of_other_kinds_and_sizes_are_refused(tmp_path, monkeypatch):
         read_corner_file(path)
     with pytest.raises(SubjectError, match="more than 1 images"):
         read_corner_file(markups_file(tmp_path, markups(), markups(name="another")))
+
+
+@pytest.mark.parametrize("coding", ["utf-16", "cp1252"])
+def test_a_table_is_read_in_the_codings_of_spreadsheets(table, coding):
+    rows = (f"Rücken,T5,{corner},{x},{y}" for corner, x, y in zip(CORNERS, (1, 9, 9, 1), (1, 1, 9, 9)))
+    (found,) = read_corner_file(table(text(*rows).encode(coding))).images
+    assert (found.image, found.levels) == ("Rücken", ("T5",))
+
+
+def test_an_unknown_side_is_told_with_the_way_to_state_it():
+    found = ImageCorners("a", ("T5",), np.array([[[1, 1], [9, 1], [9, 9], [1, 9]]]))
+    with pytest.raises(SubjectError, match=r'state it \(dataclasses.replace with first_on="left" or "right"\)'):
+        found.annotation_quads()
+    assert replace(found, first_on="right").annotation_quads().shape == (1, 4, 2)

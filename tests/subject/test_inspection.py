@@ -492,6 +492,23 @@ def test_the_command_refuses_with_one_line_and_status_2(run, folder, option):
     assert run(folder / "nothing", *option)[0] == 2
 
 
+@pytest.mark.parametrize("annotated", [True, False])
+def test_radiographs_of_another_patient_or_visit_are_told(run, folder, annotated):
+    if not annotated:
+        (folder / "annotation.json").unlink()
+    for name, person, day in (("rest/frontal", "A", "20240102"), ("rest/lateral", "B", "20240102"),
+                              ("pushes/right-8", "A", "20250102")):  # fmt: skip
+        path = folder / f"{name}.dcm"
+        without(path, PatientIdentityRemoved="", PatientID=person, AcquisitionDate=day, AcquisitionTime="101500")
+    status, out, _ = run(folder)
+    assert status == 0 and "subject.json: ok" in out
+    assert "  warning      rest/frontal and rest/lateral name different patients; look for a radiograph in the" in out
+    assert "  warning      rest/frontal and push/right-8 were taken more than 30 days apart; look for" in out
+    without(folder / "rest/lateral.dcm", PatientID="A")
+    without(folder / "pushes/right-8.dcm", AcquisitionDate="20240103")
+    assert "warning" not in run(folder)[1]
+
+
 def test_nothing_of_the_patient_is_told(run, folder):
     hidden = {"PatientName": CANARY, "PatientID": CANARY, "StudyDescription": CANARY, "InstitutionName": CANARY,
               "PatientBirthDate": "19870605", "StudyDate": "20240102", "AcquisitionDate": "20240103",

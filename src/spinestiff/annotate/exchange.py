@@ -20,6 +20,7 @@ from spinestiff.curves.corner_markups import UNIT_KEY
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.subject.folder import check_image_name
+from spinestiff.words import printable
 
 Form = Literal["csv", "slicer"]
 WIDTHS_MM = (14.0, 75.0)
@@ -77,7 +78,7 @@ def imported(
             said.append(f"{image.image} is left out: {image.reason}.")
             continue
         name = shown if len(found.images) == 1 and not _known(session, image.image) else image.image
-        check_image_name(session.subject, name)
+        check_image_name(session.subject, name, printable(file_name))
         has_mm = session.radiographs.has_mm(name)
         pixels, words = in_pixels(image, session.radiographs.frames(name)[0] if has_mm else None)
         said += words

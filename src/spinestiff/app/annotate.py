@@ -14,8 +14,10 @@ def annotate_folder(folder: Path, port: int, browser: bool) -> None:
     """Serve the annotation of a subject folder until Ctrl-C. Raises SubjectError."""
     from spinestiff.annotate.server import serve
     from spinestiff.annotate.session import AnnotationSession
+    from spinestiff.files import check_writable
 
     session = AnnotationSession(folder)
+    check_writable(folder, "marks")
 
     def ready(address: str) -> None:
         typer.echo(f"annotate: {address}\nEvery change is saved at once. Ctrl-C ends it.")

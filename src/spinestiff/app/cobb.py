@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -91,6 +92,8 @@ def _of_folder(
     for out, option in ((picture, "--picture"), (table, "--csv")):
         if out is not None:
             check_output_beside(subject.folder, out, option, force=force)
+    for warning in subject.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     frames = cobb_frames(subject, definition, noise_px)
     _draw([frame.reading for frame in frames], picture)
     _write(frames, table)

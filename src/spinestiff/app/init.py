@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
@@ -18,6 +19,7 @@ from spinestiff.app.progress import progress
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.dicom.export import Exported
+from spinestiff.imaging.radiograph import candidates
 from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake import making
@@ -35,7 +37,7 @@ from spinestiff.subject.intake.making import Given
 from spinestiff.subject.intake.push_table import pushes_of, read_push_table
 from spinestiff.subject.intake.sorting import Sorting, sort_files, uses_of
 from spinestiff.subject.lock import sole_run
-from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
+from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, RESULTS, SUBJECT_FILE
 from spinestiff.words import counted, pasted, push_named
 
 SHOWN_ALONE = 3
@@ -97,9 +99,9 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     with progress() as say:
         found, refused = collect(sources, say)
     chosen, others = chosen_studies(found, asked.study)
-    table = None if rows is None or asked.table is None else pushes_of(asked.table, rows, chosen, others)
+    table = None if rows is None or asked.table is None else pushes_of(asked.table, rows, chosen, others, refused)
     frontal, lateral = (
-        None if name is None else _one(by_name(name, chosen, option, others), option)
+        None if name is None else _one(by_name(name, chosen, option, others, refused), option)
         for name, option in ((asked.frontal, "--frontal"), (asked.lateral, "--lateral"))
     )
     sorting = sort_files(chosen, table, frontal, lateral)
@@ -107,6 +109,11 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     notes = making.fill(data, asked.given)
     making.name_pushes(data, sorting)
     notes += making.fill_images(data, asked.given)
+    rest = {"rest/frontal": sorting.frontal, "rest/lateral": sorting.lateral}
+    pictures = {image: [one.path] for image, one in rest.items() if one is not None}
+    for record, push in zip(data["pushes"], sorting.pushes):
+        pictures[f"push/{record['id']}"] = [one.path for one in push.files]
+    making.check_geometry({}, data, pictures)
     tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others))
     told, lines = making.person_of(chosen)
     notes += [line for key, line in lines.items() if key not in asked.given.person]
@@ -132,9 +139,14 @@ def _fill_folder(folder: Path, asked: Asked) -> None:
 
 
 def _fill(folder: Path, asked: Asked) -> None:
-    data = making.read_open_data(folder, asked.given)
+    data = making.read_open_data(folder, asked.given, bool(asked.logs))
+    before = copy.deepcopy(data)
     notes = making.fill(data, asked.given) + making.fill_images(data, asked.given)
     pushes = data["pushes"]
+    places = {**REST_IMAGES, **{f"push/{push['id']}": push["frames"] for push in pushes}}
+    there = {image: folder / place for image, place in places.items() if (folder / place).exists()}
+    pictures = {image: candidates(path) if path.is_dir() else [path] for image, path in there.items()}
+    making.check_geometry(before, data, pictures)
     work = _Work(data, [[folder / push["frames"]] for push in pushes], [(push["frames"],) for push in pushes])
     _ask_and_log(work, asked, notes, lambda: None)
     making.write_filled(folder, data)
@@ -202,7 +214,10 @@ def _read_log(work: _Work, number: int, path: Path, offset: str | None, asked: A
     """Put a log beside a push and say what was made of the log."""
     push = work.data["pushes"][number]
     if any(force is not None for force in push["forces_n"]):
-        raise SubjectError(f"--log {path}: the forces of {push_named(push['id'])} are known already; leave out either")
+        again = "" if asked.table is not None else f"; {making.LOG_AGAIN}"
+        raise SubjectError(
+            f"--log {path}: the forces of {push_named(push['id'])} are known already; leave out either{again}"
+        )
     seconds = None if offset is None else _seconds(offset)
     log, words = _log(path, asked)
     with progress() as say:
@@ -406,7 +421,7 @@ def _log_lines(name: str, logged: Logged) -> Iterator[str]:
         if match.against:
             yield (
                 f"  warning: {match.against}; look at the picture, and correct the forces in {SUBJECT_FILE} if the "
-                "offset is wrong"
+                f"offset is wrong ({making.LOG_AGAIN})"
             )
         return
     yield (

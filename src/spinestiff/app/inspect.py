@@ -28,8 +28,10 @@ def show_inspection(path: Path, as_json: bool) -> None:
     from spinestiff.subject.inspection import inspect
 
     found = inspect(path)
-    if (path / SUBJECT_FILE).is_file() and all(one.status == "ok" for one in found):
-        found += tuple(_odd_settings(path))
+    if (path / SUBJECT_FILE).is_file() and not any(one.reason for one in found):
+        found += tuple(_other_persons(path))
+        if all(one.status == "ok" for one in found):
+            found += tuple(_odd_settings(path))
     refused = [one for one in found if one.reason]
     if as_json:
         show_json([one.record() for one in found])
@@ -41,6 +43,19 @@ def show_inspection(path: Path, as_json: bool) -> None:
         raise RadiographError(refused[0].reason)
     if refused:
         raise typer.Exit(2)
+
+
+def _other_persons(folder: Path) -> Iterator[Inspection]:
+    """Radiographs of another patient or visit, of which an estimate would say that it is doubtful."""
+    from spinestiff.study.judgement import failed
+    from spinestiff.study.judgement.identity import identity
+    from spinestiff.study.judgement.limits import LIMITS
+    from spinestiff.subject.folder import read_identities, read_unannotated
+    from spinestiff.subject.inspection import Inspection
+
+    wrong = failed(tuple(identity(read_identities(read_unannotated(folder)), LIMITS)))
+    if wrong:
+        yield Inspection(SUBJECT_FILE, warnings=tuple(check.text for check in wrong))
 
 
 def _odd_settings(folder: Path) -> Iterator[Inspection]:

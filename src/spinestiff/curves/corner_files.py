@@ -22,7 +22,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats, read_only
 from spinestiff.curves import corner_csv, corner_markups
 from spinestiff.errors import SubjectError
-from spinestiff.files import read_text, write_json, write_text
+from spinestiff.files import read_exported_text, read_text, write_json, write_text
 from spinestiff.formats import parse_json, plain_number
 from spinestiff.subject.annotation_record import FURTHER_VIEW, Annotation
 from spinestiff.subject.record_reading import complaint_of
@@ -121,7 +121,10 @@ class ImageCorners:
         """
         if self.first_on is None:
             what = "the front" if self.lateral else "the patient's left"
-            raise SubjectError(f"{self.image}: on which side of the image {what} lies is not known; state it")
+            raise SubjectError(
+                f"{self.image}: on which side of the image {what} lies is not known; state it "
+                '(dataclasses.replace with first_on="left" or "right")'
+            )
         if self.unit != "px":
             raise SubjectError(f"{self.image}: the corners are not known to be in pixels (unit: {self.unit})")
         return self.corners[:, _AS_SEEN[True, self.first_on == "left"]]
@@ -245,7 +248,7 @@ def markups_text(images: Sequence[ImageCorners]) -> str:
 
 
 def _read_csv(path: Path) -> tuple[ImageCorners | UnreadableImage, ...]:
-    rows = corner_csv.parse(read_text(path, LARGEST_CSV), str(path))
+    rows = corner_csv.parse(read_exported_text(path, LARGEST_CSV), str(path))
     return _gathered((_Row(f"row {r.line}", r.image, r.level, r.corner, (r.x, r.y)) for r in rows), path, "CSV")
 
 

@@ -12,10 +12,11 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.regions import check_parameters, parameter_groups
 from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.errors import FitError, SubjectError
+from spinestiff.errors import FitError, SpinestiffError, SubjectError
 from spinestiff.estimation.fitted import METHODS
 from spinestiff.estimation.ratio_priors import POPULATIONS, ratio_prior
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
+from spinestiff.study.judgement import failed, judge_motion
 from spinestiff.study.trials import PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
 from spinestiff.subject.folder import Subject, read_subject
@@ -170,6 +171,20 @@ def load_pushes(visit: Visit, orientation: Orientation, method: str) -> PushSet:
     SubjectError : an earlier step has not run, or its results are not as it left them.
     """
     return pushes_on(visit, visit.torso(), orientation, method)
+
+
+def motion_doubts(visit: Visit) -> tuple[str, ...]:
+    """What the motion in tracked pushes says against their forces and sides, before there is a torso of the subject;
+    nothing where the tracking can't be put beside the template.
+    """
+    record = visit.subject.record
+    template = template_torso(record.height_cm, "coarse")
+    try:
+        tracked = read_outcome(visit.subject, Tracked).pushes
+        pushes = push_set(template, visit.subject.pushes, tracked, rig=rig_of(record))
+    except SpinestiffError:
+        return ()
+    return tuple(check.text for check in failed(judge_motion(record, pushes)))
 
 
 def pushes_on(visit: Visit, torso: TorsoModel, orientation: Orientation, method: str) -> PushSet:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -32,6 +32,7 @@ from spinestiff.subject.records import (
     RESULTS,
     SCHEMA_VERSION,
     SUBJECT_FILE,
+    USUAL_FORCES_N,
     FurtherViewRecord,
     PushRecord,
     SubjectRecord,
@@ -183,7 +184,7 @@ def read_unannotated(folder: str | Path) -> Subject:
         )
     record, gaps = read_open_record(folder / SUBJECT_FILE)
     bare = Annotation(schema_version=SCHEMA_VERSION, images={})
-    return Subject(folder, record, bare, _unusual(record), gaps)
+    return Subject(folder, record, bare, tuple(_unusual(record)), gaps)
 
 
 def check_radiograph_path(subject: Subject, image: str) -> None:
@@ -291,8 +292,9 @@ def read_identities(subject: Subject) -> dict[str, Identity]:
     from spinestiff.imaging.dicom.identity import read_identity
     from spinestiff.imaging.radiograph import candidates
 
-    images = (*(f"rest/{view}" for view in subject.rest_views), *(push.image for push in subject.pushes))
-    paths = {image: subject.image_path(image) for image in images}
+    paths = {image: subject.image_path(image) for image in annotatable(subject.record)}
+    if LATERAL not in subject.annotation.images and not os.path.lexists(paths[LATERAL]):
+        del paths[LATERAL]
     paths |= {
         push.view_image(view.frames[0], view.id): subject.folder / view.files
         for push in subject.pushes
@@ -441,9 +443,14 @@ def annotatable_views(subject: Subject) -> dict[str, bool]:
     }
 
 
-def check_image_name(subject: Subject, name: str) -> None:
-    """Raise SubjectError unless an annotation of this subject may have an image, or a push's frame, of that name."""
-    path, needed = subject.folder / ANNOTATION_FILE, annotatable(subject.record)
+def check_image_name(subject: Subject, name: str, file: str = "") -> None:
+    """Raise SubjectError unless an annotation of this subject may have an image, or a push's frame, of that name.
+
+    Parameters
+    ----------
+    file : that has the image, for the message; the annotation if left out.
+    """
+    path, needed = file or subject.folder / ANNOTATION_FILE, annotatable(subject.record)
     found = re.fullmatch(FURTHER_FRAME, name)
     if found is not None and found["push"] in needed:
         count = len(subject.push(found["push"].removeprefix("push/")).forces_n)
@@ -493,9 +500,21 @@ def _check_input(subject: Subject, path: Path, what: str) -> None:
         raise SubjectError(f"{path}: lies where results are written ({results}); move it elsewhere in the folder")
 
 
-def _unusual(record: SubjectRecord) -> tuple[str, ...]:
-    return tuple(
-        f"push '{push.id}' reaches {max(push.forces_n):g} N; above {USUAL_LIMIT_N:g} N nobody was measured so far"
-        for push in record.pushes
-        if max(push.forces_n) > USUAL_LIMIT_N
-    )
+def odd_forces(push: PushRecord) -> str:
+    """What is odd about a push's forces, which may be in another unit; "" if nothing. 0 stands for those that are not
+    known yet.
+    """
+    most = max(push.forces_n)
+    low, high = USUAL_FORCES_N
+    if most == 0.0 or low <= most <= high:
+        return ""
+    return f"forces up to {most:g} N, where pushes on the ribs have {low:g} to {high:g} N: look whether they are in N"
+
+
+def _unusual(record: SubjectRecord) -> Iterator[str]:
+    for push in record.pushes:
+        most = max(push.forces_n)
+        if odd := odd_forces(push):
+            yield f"push '{push.id}': {odd}"
+        elif most > USUAL_LIMIT_N:
+            yield f"push '{push.id}' reaches {most:g} N; above {USUAL_LIMIT_N:g} N nobody was measured so far"

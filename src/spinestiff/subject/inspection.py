@@ -17,7 +17,7 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import candidates, check_files, in_order, read_scans, times_of
 from spinestiff.imaging.shown_view import shown_view
 from spinestiff.subject.annotation_record import Annotation
-from spinestiff.subject.folder import Subject, check_image_name
+from spinestiff.subject.folder import Subject, check_image_name, odd_forces
 from spinestiff.subject.gaps import open_frames, read_open_record
 from spinestiff.subject.geometry import image_geometry
 from spinestiff.subject.marks import check_marks_in, frame_names
@@ -27,8 +27,6 @@ from spinestiff.subject.records import (
     LATERAL,
     REST_IMAGES,
     SUBJECT_FILE,
-    USUAL_FORCES_N,
-    PushRecord,
 )
 
 MOST_FOLDERS = 256
@@ -199,7 +197,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
             # In the others corners are followed from there.
             least = push.least_of(view, open_frames(gaps, number))
             needed[name] = None if least is None else push.view_image(least, view.id)
-    odd_forces = {push.image: _odd_forces(push) for push in record.pushes}
+    odd = {push.image: odd_forces(push) for push in record.pushes}
     found: list[Inspection] = []
     if annotation is not None:
         found += _unknown_images(Subject(folder, record, annotation))
@@ -221,7 +219,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
         if scan is not None and annotation is not None and not (one.reason or scan.missing):
             seen_from, subject = scan.view(np.zeros(3)), Subject(folder, record, annotation)
             one = replace(one, reason=_odd_marks(subject, (*wanted, *later.get(name, ())), seen_from))
-        found.append(replace(one, warnings=(*one.warnings, *odd_forces.get(name, ()))))
+        found.append(replace(one, warnings=(*one.warnings, *filter(None, [odd.get(name)]))))
     return tuple(found)
 
 
@@ -232,17 +230,6 @@ def _odd_marks(subject: Subject, names: Sequence[str], view: XRayView) -> str:
     except SubjectError as problem:
         return str(problem)
     return ""
-
-
-def _odd_forces(push: PushRecord) -> tuple[str, ...]:
-    """What is odd about a push's forces; 0 stands for those that are not known yet."""
-    most = max(push.forces_n)
-    low, high = USUAL_FORCES_N
-    if most == 0.0 or low <= most <= high:
-        return ()
-    return (
-        f"forces up to {most:g} N, where pushes on the ribs have {low:g} to {high:g} N: look whether they are in N",
-    )
 
 
 def _unknown_images(subject: Subject) -> Iterator[Inspection]:

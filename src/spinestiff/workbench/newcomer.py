@@ -191,7 +191,7 @@ def make_newcomer(root: Root, name: str, export: Export, wish: Wish, person: Map
 
 def _sorted(export: Export, wish: Wish) -> tuple[tuple[Exported, ...], Sorting]:
     chosen, rows = export.study(wish), wish.rows
-    table = None if rows is None else pushes_of(TABLE, rows, chosen)
+    table = None if rows is None else pushes_of(TABLE, rows, chosen, refused=export.refused)
     return chosen, sort_files(chosen, table, *wish.rest(chosen), wish.pushes(chosen))
 
 

@@ -26,7 +26,7 @@ from spinestiff.study.report.estimate_content import bending_line
 from spinestiff.study.visit import Visit, open_visit
 from spinestiff.study.wording import factor95, told_stiffness
 from spinestiff.subject.assessment_outcome import Assessment
-from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness
+from spinestiff.subject.estimate_outcome import Check, Estimate, PlainStiffness
 from spinestiff.subject.outcome_parts import Determination, Quantity
 from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse, Responses
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
@@ -67,11 +67,21 @@ def test_a_badge_says_how_far_it_is_known_and_never_how_the_search_ended(finishe
     for known, good in (("determined", True), ("weakly determined", False), ("not determined", False)):
         shown = stiffness(estimate, name, found, unit, known)
         assert (shown["badge"], shown["good"]) == (known, good)
+        doubted = stiffness(failing(estimate), name, found, unit, known)
+        assert (doubted["badge"], doubted["good"]) == ("doubtful", False)
+        assert doubted["dot"] == (known != "not determined")
+        assert "known within" not in doubted["meaning"]
     # The strip's middle is the same place as the ratio's between the fit's bounds; cadaver segments lie above it.
     strip = stiffness(estimate, name, found, unit, "determined")["strip"]
     assert 0.0 <= strip["start"] <= strip["value"] <= strip["end"] <= 100.0
     assert strip["band"][0] < strip["band"][1] and strip["band_text"] == "74 to 103"
     assert "CONVERGED" not in json.dumps(stiffness(estimate, name, found, unit, "determined"))
+
+
+def failing(estimate: Estimate) -> Estimate:
+    """The same with a check that failed."""
+    wrong = Check(name="same patient", value=None, limit=None, passed=False, text="two patients")
+    return estimate.model_copy(update={"status": "DOUBTFUL", "checks": (wrong,)})
 
 
 def content_of(visit: Visit) -> dict[str, Any]:

@@ -196,3 +196,16 @@ def test_a_file_is_named_by_the_end_of_its_path(exported):
         by_name("I1", found[:3], "row 2")
     with pytest.raises(SubjectError, match=r"^row 2: no radiograph 'I9' in the sources; there are a/s1/I1, "):
         by_name("I9", found, "row 2")
+
+
+def test_a_file_that_is_left_out_is_told_with_its_reason_where_it_is_named(tmp_path):
+    one = export(tmp_path / "in" / "a" / "I1")
+    (tmp_path / "in" / "b").mkdir()
+    (tmp_path / "in" / "b" / "I2").write_bytes(one.read_bytes())
+    (tmp_path / "in" / "b" / "I3").write_bytes(one.read_bytes()[:3000])
+    found, refused = collect([tmp_path / "in"])
+    twin = "row 2: b/I2 can't be taken: the same image as a/I1; name a/I1"
+    damaged = next(left.why for left in refused if left.name == "b/I3")
+    for name, words in (("I2", twin), ("b", twin), ("b/I3", f"row 2: b/I3 can't be taken: {damaged}")):
+        with pytest.raises(SubjectError, match=re.escape(words)):
+            by_name(name, found, "row 2", refused=refused)

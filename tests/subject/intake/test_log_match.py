@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -96,6 +98,7 @@ def test_a_release_and_a_rise_are_told_apart_or_both_left_open():
     motion = 0.2 * log.at(seen + 4.0) + 0.05 * rng.standard_normal(16)
     found = match_log(log, seen, motion - motion[0])
     assert not found.determined and "is possible, which leaves a frame's force open" in found.why
+    assert re.search(r"open by ± \d+\.\d N, wanted ± \d+\.\d N or less$", found.why)
     assert found.low_s < 4.0 < 10.0 < found.high_s
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hospital import export
+from spinestiff.errors import SubjectError
 from spinestiff.subject.intake.force_log import ForceLog
 from spinestiff.subject.intake.logged import put_beside
 
@@ -19,3 +20,10 @@ def test_times_of_content_stand_in_for_those_of_the_acquisition_and_are_told(tmp
     assert logged.forces_n == [5.0, 15.0, 25.0, 35.0]
     assert ("ContentTime, which may be that of processing" in logged.doubt) is doubted
     assert bool(logged.doubt) is doubted
+
+
+def test_frames_beyond_a_log_are_told_with_the_limit(tmp_path):
+    files = [export(tmp_path / f"f{i}", time=f"10100{i}", InstanceNumber=i + 1) for i in range(4)]
+    log = ForceLog(np.linspace(0.0, 5.0, 51), np.linspace(0.0, 50.0, 51))
+    with pytest.raises(SubjectError, match=r"lie 1\.5 s beyond .* wanted a log around them, or at most 1 s beyond it"):
+        put_beside(log, files, "left-8", 3.5)

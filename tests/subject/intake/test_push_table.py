@@ -95,5 +95,24 @@ def test_rows_of_a_file_of_several_frames_stand_alone(table, exported):
 
 @pytest.mark.parametrize("header", ["file,frame,force_n", HEADER + ",colour", HEADER + ",role,role"])
 def test_other_columns_are_refused_with_those_that_are_wanted(table, header):
-    with pytest.raises(SubjectError, match=re.escape(f"wanted {HEADER} and perhaps role,push")):
+    with pytest.raises(
+        SubjectError, match=re.escape("wanted file,frame,force_n,side,level and perhaps d21_mm,d31_mm,role,push")
+    ):
         read_push_table(table("I7,0,0", header=header))
+
+
+def test_distances_that_nobody_knows_need_no_columns(table, exported):
+    path = table("I7,0,0,right,8", "I7,1,41.5,,", header="file,frame,force_n,side,level")
+    (push,) = pushes_of(path, read_push_table(path), [exported("I7", frames=2)])
+    assert push.shared == {"side": "right", "level": 8.0}
+    path = table("I7,0,0,right,400", header="file,frame,force_n,side,d21_mm")
+    with pytest.raises(SubjectError, match="lacking: level"):
+        read_push_table(path)
+
+
+@pytest.mark.parametrize("coding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_a_table_is_read_in_the_codings_of_spreadsheets(tmp_path, exported, coding):
+    path = tmp_path / "pushes.csv"
+    path.write_bytes(f"{HEADER}\nRücken,0,0,right,8,400,210\nRücken,1,41.5,,,,\n".encode(coding))
+    (push,) = pushes_of(path, read_push_table(path), [exported("Rücken", frames=2)])
+    assert [row.force_n for row in push.rows.values()] == [0.0, 41.5]

@@ -242,3 +242,15 @@ def test_pictures_that_can_be_no_push_are_refused(exported, tmp_path):
         sort_files(
             [several, front, exported("f", time="102100")], table, joined=[[front, exported("f", time="102100")]]
         )
+
+
+def test_a_radiograph_at_rest_that_states_the_other_view_is_refused(exported):
+    front, side = exported("I1"), exported("I2", "lateral")
+    for named in ({"frontal": side}, {"lateral": front}):
+        (wanted, one) = next(iter(named.items()))
+        with pytest.raises(SubjectError, match=rf"{one.name}: named as the {wanted} radiograph at rest, but it states"):
+            sort_files([front, side], **named)
+    # What the series is called is no statement of its picture's.
+    lacking = ("PatientOrientation", "ViewPosition")
+    called = exported("I3", without=lacking, SeriesDescription="lateral")
+    assert called.view == "lateral" and sort_files([front, called], frontal=called).frontal is called

@@ -19,6 +19,7 @@ from spinestiff.anatomy.meshing import (
     DEFAULT_MESHER,
     SKIN_SHARE,
     MeshedTissue,
+    find_mesher,
     mesh_tissue,
     refuse_spacing,
     refuse_unknown_mesher,
@@ -96,6 +97,10 @@ def import_torso(
     say = heard(observer, logging.getLogger(__name__))
     refuse_unknown_mesher(mesher)
     refuse_spacing(spacing_mm)
+    try:
+        find_mesher(mesher)
+    except TorsoError as lack:
+        say(f"note: {lack}; until then the bones are checked, and no torso is made")
     files = find_files(Path(folder), *(None if path is None else Path(path) for path in (mapping, skin)))
     say(f"read: {sum(map(len, files.bones.values()))} meshes")
     raw = {name: [(path.name, read_surface(path)) for path in files.bones[name]] for name in BONES}

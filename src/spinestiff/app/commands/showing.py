@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -65,10 +66,15 @@ def visit_page(folder: Path | None, out: Path | None, force: bool) -> Path:
     """The page of a visit as far as it has come."""
     from spinestiff.files import write_text
     from spinestiff.study.report.viewer.files import write_rest_view
-    from spinestiff.study.visit import open_visit
+    from spinestiff.study.visit import Settings, Visit, open_visit
+    from spinestiff.subject.folder import read_unannotated
     from spinestiff.subject.output_places import check_output_beside
+    from spinestiff.subject.records import ANNOTATION_FILE
 
-    visit = open_visit(folder or Path())
+    folder = folder or Path()
+    bare = None if os.path.lexists(folder / ANNOTATION_FILE) else read_unannotated(folder)
+    # The template needs no corners, but what subject.json tells.
+    visit = open_visit(folder) if bare is None or bare.gaps else Visit(bare, Settings())
     if out is not None:
         check_output_beside(visit.subject.folder, out, "--out", force=force)
     page = visit.file("view.html")

@@ -61,7 +61,12 @@ def track(folder: Folder, redo: Force = False) -> None:
 
 def response(folder: Folder, redo: Force = False) -> None:
     """N per degree of each push, and flexibility: from the corners alone, without a model."""
-    print_response(run_steps_of(folder, ("response",), redo))
+    from spinestiff.study.visit import motion_doubts
+
+    visit = run_steps_of(folder, ("response",), redo)
+    print_response(visit)
+    for text in motion_doubts(visit):
+        typer.echo(f"doubtful: {text}")
 
 
 def personalise(folder: Folder, mesh: Mesh = "fine", redo: Force = False) -> None:

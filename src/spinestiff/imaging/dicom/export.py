@@ -19,6 +19,8 @@ from spinestiff.imaging.dicom.reading import Scan, read_scan
 from spinestiff.imaging.dicom.tags import coded_word
 from spinestiff.imaging.shown_view import ShownView, shown_view
 
+SERIES_WORDS = "words of the series"
+"""What says a view that nothing states."""
 EVEN = 1e-3
 """Spread of the grey values over their size below which a picture shows nothing."""
 
@@ -100,4 +102,4 @@ def _view(scan: Scan, tags: ExportTags) -> tuple[str | None, str]:
     towards = BEAMS.get(scan.tags.view_position)
     if towards is not None:
         return "frontal" if towards in "AP" else "lateral", f"ViewPosition {scan.tags.view_position}"
-    return (tags.view, "words of the series") if tags.view else (None, "")
+    return (tags.view, SERIES_WORDS) if tags.view else (None, "")

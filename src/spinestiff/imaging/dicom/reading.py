@@ -21,6 +21,7 @@ from spinestiff.imaging.dicom.files import (
     one_clear_line,
     read_dataset,
     read_header,
+    read_tags_only,
 )
 from spinestiff.imaging.dicom.greys import DisplayCurve, bone_bright
 from spinestiff.imaging.dicom.identity import Identity, identity_of
@@ -200,6 +201,12 @@ def _on_disk(path: Path, given: Geometry) -> Scan | None:
     frames = FramesOnDisk(path, start, layout, tags)
     whose = identity_of(dataset)
     return Scan(path.name, "", whose, tags, layout, frames, display, greys, far, pitch, axes, missing)
+
+
+def check_given(path: Path, given: Geometry) -> None:
+    """Raise RadiographError, in one line with the file's name, where a file contradicts the geometry that is given."""
+    with one_clear_line(path.name):
+        _known(read_tags(read_tags_only(path)), given)
 
 
 def _known(tags: Tags, given: Geometry) -> tuple[Distances | None, Spacing | None, Directions | None, tuple[str, ...]]:

@@ -56,15 +56,22 @@ def judge_inputs(
 ) -> tuple[Check, ...]:
     """Those that need no fit, so that they can be told before it and where it finds nothing."""
     found = [*identity(identities, limits), force_scale(pushes.training, limits)]
+    found += judge_motion(record, pushes, limits)
+    found += [length(record, shape, limits), sizes(record, shape, limits), *rest_pictures(shape, limits)]
+    sd = float(np.clip(shape.corner_sd_mm, limits.least_sd_mm, limits.most_sd_mm))
+    for push in record.pushes:
+        found += unloaded(pushes, push, sd, limits)
+    return tuple(found)
+
+
+def judge_motion(record: SubjectRecord, pushes: PushSet, limits: Limits = LIMITS) -> tuple[Check, ...]:
+    """Those of each push's motion under its forces, for which the template is torso enough."""
+    found = []
     for push in record.pushes:
         mine = [trial for trial in pushes.trials if trial.push == push.id]
         bent = bending(pushes, mine)
         found += [growth(push, bent, limits), *repeated(push, bent, limits)]
         found += [direction(pushes, push, mine, limits), copies(pushes, push, mine, limits)]
-    found += [length(record, shape, limits), sizes(record, shape, limits), *rest_pictures(shape, limits)]
-    sd = float(np.clip(shape.corner_sd_mm, limits.least_sd_mm, limits.most_sd_mm))
-    for push in record.pushes:
-        found += unloaded(pushes, push, sd, limits)
     return tuple(found)
 
 

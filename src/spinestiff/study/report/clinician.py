@@ -27,6 +27,7 @@ from spinestiff.study.wording import (
     flexibility,
     force_per_degree,
     has_intervals,
+    known_word,
     listed,
     number,
     ratio_title,
@@ -48,10 +49,12 @@ MOST_BESIDE_FAILED = 3
 """Of doubts, where checks failed."""
 LONGEST = 170
 """Characters of an item; of a longer one the engineer's part has the whole."""
-MEANINGS: dict[Determination, str] = {
+MEANINGS = {
+    "doubtful": "a check of this result failed: no number of it is safe",
     "determined": "known within a factor of 2 either way, on average",
     "weakly determined": "known within a factor of 10 either way, on average, or closer but open at one end",
     "not determined": "the radiographs leave it open",
+    "no interval": "nothing says how far to trust it",
 }
 """What the badge of one stiffness says."""
 ADVICE = {
@@ -139,12 +142,14 @@ def stiffness(
     title = stiffness_title(name)
     known = determined or found.determination
     interval = has_intervals(estimate) and found.low is not None
+    badge = known_word(estimate, known) if interval or estimate.status == "DOUBTFUL" else "no interval"
     return {
         "title": title,
         "words": in_words(within_a_sentence(title), found, unit, known),
-        "badge": known if interval else "no interval",
-        "meaning": MEANINGS[known] if interval else "nothing says how far to trust it",
-        "good": interval and known == "determined",
+        "badge": badge,
+        "meaning": MEANINGS[badge],
+        "good": badge == "determined",
+        "dot": known != "not determined",
         "strip": _strip(estimate, name, found),
         "unit": unit,
     }

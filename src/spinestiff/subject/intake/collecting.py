@@ -25,10 +25,11 @@ SAID_EVERY = 20
 
 @dataclass(frozen=True)
 class Refused:
-    """A file that is left out, and why."""
+    """A file that is left out, and why; ``twin``: the name of the same image that is kept, "" where there is none."""
 
     name: str
     why: str
+    twin: str = ""
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def collect(
                 refused.append(Refused(name, str(problem).removeprefix(f"{path.name}: ")))
                 continue
             if (twin := seen.same(one)) is not None:
-                refused.append(Refused(name, f"the same image as {twin.name}"))
+                refused.append(Refused(name, f"the same image as {twin.name}", twin.name))
             else:
                 seen.add(one)
                 found.append(one)
@@ -226,12 +227,15 @@ def chosen_studies(found: Sequence[Exported], wanted: str | None) -> tuple[tuple
     return files, tuple(group for group in groups if group not in mine)
 
 
-def by_name(text: str, found: Sequence[Exported], where: str, others: Sequence[Study] = ()) -> tuple[Exported, ...]:
+def by_name(
+    text: str, found: Sequence[Exported], where: str, others: Sequence[Study] = (), refused: Sequence[Refused] = ()
+) -> tuple[Exported, ...]:
     """The file of that name, or the files of a folder of that name: a path in the export, or the end of one.
 
     Parameters
     ----------
-    others : studies that were not chosen, so that a file of theirs is told from one that is not there.
+    others, refused : studies that were not chosen and files that are left out, so that they are told from what is not
+        there.
 
     Raises
     ------
@@ -257,18 +261,22 @@ def by_name(text: str, found: Sequence[Exported], where: str, others: Sequence[S
         names = ", ".join("/".join(folder) for folder in folders)
         raise SubjectError(f"{where}: '{text[:80]}' is the name of several folders ({names}); write more of the path")
     for study in others:
-        ends = {parts[-len(wanted) :] for one in study.files for parts in _names(one)}
+        ends = {parts[-len(wanted) :] for one in study.files for parts in _names(one.name)}
         if wanted and wanted in ends:
             raise SubjectError(
                 f"{where}: '{text[:80]}' is of study {study.label}, which --study leaves out; choose it, too, if it is "
                 "the same patient's, or leave the file out"
             )
+    for left in refused:
+        if wanted and wanted in {parts[-len(wanted) :] for parts in _names(left.name)}:
+            instead = f"; name {left.twin}" if left.twin else ""
+            raise SubjectError(f"{where}: {left.name} can't be taken: {left.why}{instead}")
     raise SubjectError(f"{where}: no radiograph '{text[:80]}' in the sources; there are {_some(found)}")
 
 
-def _names(one: Exported) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _names(name: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Parts of the paths of a file and of its folder."""
-    parts = PurePosixPath(one.name).parts
+    parts = PurePosixPath(name).parts
     return parts, parts[:-1]
 
 

@@ -115,7 +115,7 @@ def match_log(log: ForceLog, times_s: Floats, motion: Floats) -> LogMatch:
     elif float((force_high - force_low).max()) > 2.0 * enough:
         why = (
             f"any offset from {low:.2f} to {high:.2f} s is possible, which leaves a frame's force open by ± "
-            f"{0.5 * float((force_high - force_low).max()):.0f} N"
+            f"{0.5 * float((force_high - force_low).max()):.1f} N, wanted ± {enough:.1f} N or less"
         )
     at_best = log.told(times_s + offsets[best])
     return LogMatch(float(offsets[best]), low, high, not why, why, float(explained), at_best, force_low, force_high)

@@ -112,7 +112,8 @@ def at_offset(logged: Logged, name: str, offset_s: float) -> Logged:
     if beyond > MOST_OUTSIDE_S:
         raise SubjectError(
             f"{push_named(name)}: with the first frame at {offset_s:g} s of the log frames lie {beyond:.1f} s beyond "
-            f"its ends ({log.times_s[0]:g} and {log.times_s[-1]:g} s); wanted a log around them"
+            f"its ends ({log.times_s[0]:g} and {log.times_s[-1]:g} s); wanted a log around them, "
+            f"or at most {MOST_OUTSIDE_S:g} s beyond it"
         )
     match = given_offset(log, times, offset_s, logged.motion, logged.match)
     pushed = log.times_s[log.forces_n >= LEAST_RISE_N]

@@ -7,18 +7,23 @@ import json
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from spinestiff.errors import OptionError, SubjectError
+from spinestiff.errors import OptionError, RadiographError, SubjectError
 from spinestiff.files import copy_known, read_json, trouble, whole_folder, write_json
 from spinestiff.imaging.dicom.export import Exported
+from spinestiff.imaging.dicom.millimetres import Geometry
+from spinestiff.imaging.dicom.reading import check_given
 from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
 from spinestiff.subject.intake.sorting import PushFiles, Sorting
 from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID, parse_record
-from spinestiff.subject.records import REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, SubjectRecord
+from spinestiff.subject.records import LATERAL, REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, SubjectRecord, XRayRecord
 from spinestiff.words import push_named
+
+LOG_AGAIN = f"to read a force log again, write null for each of the push's forces_n in {SUBJECT_FILE}"
 
 
 @dataclass(frozen=True)
@@ -170,6 +175,38 @@ def fill_images(data: dict[str, Any], given: Given) -> list[str]:
     return notes
 
 
+def check_geometry(before: Mapping[str, Any], data: Mapping[str, Any], files: Mapping[str, Sequence[Path]]) -> None:
+    """Refuse X-ray geometry that was put into ``data`` where a picture contradicts it: ``fill`` changes nothing later.
+
+    Parameters
+    ----------
+    before : the JSON without it; a picture that contradicts that, too, is left to ``spinestiff inspect``.
+    files : of each picture, by its name in the annotation.
+
+    Raises
+    ------
+    SubjectError : picture, file, found and wanted.
+    """
+    for image, paths in files.items():
+        old, new = (_geometry(one, image) for one in (before, data))
+        for path in paths if new != old else ():
+            try:
+                check_given(path, new)
+            except RadiographError as problem:
+                with suppress(RadiographError):
+                    check_given(path, old)
+                    raise SubjectError(f"{image}: {problem}; nothing is written") from None
+
+
+def _geometry(data: Mapping[str, Any], image: str) -> Geometry:
+    xray = XRayRecord.model_validate(data.get("xray") or {})
+    own, usual = xray.of(image), "lateral" if image == LATERAL else "frontal"
+    return Geometry(
+        own.source_detector_mm, own.source_patient_mm, own.imager_pixel_mm,
+        usual if xray.orientation == "standard" else None,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
 def _put(there: dict[str, Any], key: str, value: Any) -> Any:
     """Put a value where a key is left out or None; returns what is there then."""
     if there.get(key) is None:
@@ -240,8 +277,12 @@ def copy_file(one: Exported, place: Path) -> None:
         raise SubjectError(f"{one.name}: can't be copied ({trouble(problem)})") from None
 
 
-def read_open_data(folder: Path, given: Given) -> dict[str, Any]:
+def read_open_data(folder: Path, given: Given, log: bool = False) -> dict[str, Any]:
     """The JSON of a subject, to be filled: one that is not complete, or lacks some of the X-ray geometry given.
+
+    Parameters
+    ----------
+    log : whether a force log is given, for the message.
 
     Raises
     ------
@@ -256,6 +297,8 @@ def read_open_data(folder: Path, given: Given) -> dict[str, Any]:
         parse_record(json.dumps(data), str(path), SubjectRecord)
         filled = copy.deepcopy(data)
         stays = fill(filled, given) + fill_images(filled, given)
+        if filled == data and log:
+            raise SubjectError(f"{path}: nothing is missing in it; {LOG_AGAIN}")
         if filled == data:
             told = f", and nothing changes ({'; '.join(stays)})" if stays else ""
             raise SubjectError(

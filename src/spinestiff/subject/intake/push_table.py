@@ -8,15 +8,17 @@ from pathlib import Path
 from typing import Any, get_args
 
 from spinestiff.errors import SubjectError
-from spinestiff.files import read_text
+from spinestiff.files import read_exported_text
 from spinestiff.formats import parse_csv, plain_number, plain_word
 from spinestiff.imaging.dicom.export import Exported
-from spinestiff.subject.intake.collecting import Study, by_name
+from spinestiff.subject.intake.collecting import Refused, Study, by_name
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, LEVELS, Role
 from spinestiff.words import counted, printable
 
 COLUMNS = ("file", "frame", "force_n", "side", "level", "d21_mm", "d31_mm")
-OPTIONAL = ("role", "push")
+NEEDED = COLUMNS[:5]
+OPTIONAL = (*COLUMNS[5:], "role", "push")
+"""Columns that may be left out."""
 LARGEST_BYTES = 2**20
 _RANGES = {
     "force_n": (0.0, GAUGE_LIMIT_N, "N"), "level": (*LEVELS, "ribs"), "d21_mm": (*DISTANCES_MM, "mm"),
@@ -63,7 +65,7 @@ class TablePush:
 
 def read_push_table(path: Path) -> tuple[TableRow, ...]:
     """The rows of a table of pushes. Raises SubjectError as ``parse_push_table``."""
-    return parse_push_table(read_text(path, LARGEST_BYTES), str(path))
+    return parse_push_table(read_exported_text(path, LARGEST_BYTES), str(path))
 
 
 def parse_push_table(text: str, name: str) -> tuple[TableRow, ...]:
@@ -74,8 +76,8 @@ def parse_push_table(text: str, name: str) -> tuple[TableRow, ...]:
     SubjectError : other columns, no rows, a cell that is no value of its column (row, column, found, wanted).
     """
     rows = []
-    columns = (*COLUMNS, *OPTIONAL)
-    for line, texts in parse_csv(text, name, COLUMNS, OPTIONAL, _RANGES):
+    columns = (*NEEDED, *OPTIONAL)
+    for line, texts in parse_csv(text, name, NEEDED, OPTIONAL, _RANGES):
         cells = dict(zip(columns, texts))
         where = f"{name}: row {line}"
         if not cells["file"]:
@@ -120,13 +122,17 @@ def _shown(text: str) -> str:
 
 
 def pushes_of(
-    path: Path | str, rows: Sequence[TableRow], found: Sequence[Exported], others: Sequence[Study] = ()
+    path: Path | str,
+    rows: Sequence[TableRow],
+    found: Sequence[Exported],
+    others: Sequence[Study] = (),
+    refused: Sequence[Refused] = (),
 ) -> tuple[TablePush, ...]:
     """The pushes of a table, which messages call ``path``, in its order.
 
     Rows of one file of several frames, or of one folder, are one push. Rows of files of one frame each are one push
-    where their ``push`` is the same or, without one, all that they have in common is the same. ``others`` as in
-    ``by_name``.
+    where their ``push`` is the same or, without one, all that they have in common is the same. ``others`` and
+    ``refused`` as in ``by_name``.
 
     Raises
     ------
@@ -135,7 +141,7 @@ def pushes_of(
     groups: dict[tuple[Any, ...], list[tuple[TableRow, tuple[Exported, ...]]]] = {}
     for row in rows:
         where = f"{path}: row {row.line}"
-        files = by_name(row.file, found, where, others)
+        files = by_name(row.file, found, where, others, refused)
         frames = files[0].frames if len(files) == 1 else len(files)
         if row.frame >= frames:
             raise SubjectError(f"{where}: frame {row.frame}, but {row.file} has {counted(frames, 'frame')}, from 0 on")

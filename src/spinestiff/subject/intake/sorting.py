@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from spinestiff.errors import RadiographError, SubjectError
-from spinestiff.imaging.dicom.export import Exported
+from spinestiff.imaging.dicom.export import SERIES_WORDS, Exported
 from spinestiff.imaging.dicom.ordering import times_told
 from spinestiff.imaging.radiograph import in_order, times_of
 from spinestiff.subject.intake.push_table import SHARED, TablePush, TableRow
@@ -97,14 +97,21 @@ def sort_files(
 
     Raises
     ------
-    SubjectError : a radiograph that is said to be two things; files of a push that are no sequence.
+    SubjectError : a radiograph that is said to be two things, or one at rest that states the other view; files of a
+        push that are no sequence.
     """
+    if frontal is not None and frontal is lateral:
+        raise SubjectError(f"{frontal.name}: named as frontal and as lateral rest radiograph; wanted two")
     reasons: dict[str, str] = {}
     for one, view in ((frontal, "frontal"), (lateral, "lateral")):
         if one is not None:
+            # Words of a series are no more than words.
+            if one.view not in (None, view) and one.view_source != SERIES_WORDS:
+                raise SubjectError(
+                    f"{one.name}: named as the {view} radiograph at rest, but it states that it is {_seen(one)}; name "
+                    "another file"
+                )
             reasons[one.name] = f"named by --{view}"
-    if frontal is not None and frontal is lateral:
-        raise SubjectError(f"{frontal.name}: named as frontal and as lateral rest radiograph; wanted two")
     together = [_joined(files) for files in joined]
     for one in [one for push in together for one in push.files]:
         if one.name in reasons:

@@ -11,6 +11,7 @@ from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.viewer.page import view_page
 from spinestiff.study.report.viewer.scene import Scene, visit_scene
 from spinestiff.study.visit import Visit
+from spinestiff.words import pasted
 
 
 def scene_of(visit: Visit, predictions: Predictions) -> Scene:
@@ -36,9 +37,11 @@ def write_rest_view(visit: Visit, path: Path) -> str:
         torso, shown = visit.torso(), "the subject’s torso at rest"
     else:
         torso, shown = template_torso(visit.subject.record.height_cm), "the template at the subject’s height, at rest"
-    note = f"No estimate yet: this is {shown}. For pushes and measured vertebrae: spinestiff run {folder.name}"
+    # The page may be passed on, and tells no path.
+    run = f"spinestiff run {pasted(Path(folder.name))}"
+    note = f"No estimate yet: this is {shown}. For pushes and measured vertebrae: {run}"
     write_text(path, view_page(Scene(visit.subject.record.id, torso, note=note)))
-    return f"no estimate yet: shows {shown}; for pushes and measured vertebrae: spinestiff run {folder}"
+    return f"no estimate yet: shows {shown}; for pushes and measured vertebrae: spinestiff run {pasted(folder)}"
 
 
 def write_torso_view(torso_file: Path, path: Path) -> None:
