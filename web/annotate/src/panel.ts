@@ -8,7 +8,7 @@ const TOOLS: Record<Tool, [string, string]> = {
   move: ["Move", "Drag corners or whole vertebrae; drag beside them to move the picture."],
   spine: ["Spine points", "Click the middle of the uppermost vertebra, a few points along the spine, and the middle of the lowest. Say under Spine which two they are, then propose."],
   pelvis: ["Pelvis", "Click points on the pelvis, left and right alike; they show whether it moved under the push."],
-  shoulder: ["Shoulder", "Click a point on the shoulder that rests on the wall; it shows whether it moved."],
+  shoulder: ["Shoulder", "Click a point on the shoulder that rests against its pad, opposite the push; it shows whether it moved."],
   pedicle: ["Pedicles", "Click the middle of a pedicle’s shadow; it goes to the nearest vertebra. The other one is guessed, dotted, until you click, choose or drag it, too. Optional."],
 };
 
