@@ -34,7 +34,7 @@ class ImageAnnotation(Record):
     vertebrae : for each visible vertebra four corners: superior-left, superior-right, inferior-right, inferior-left of
         the patient in a frontal image; superior-anterior, superior-posterior, inferior-posterior, inferior-anterior in
         a lateral one.
-    supports : points on the pelvis and on the shoulder that rests against its pad; they show whether the supports moved.
+    supports : points on the pelvis and on the shoulder that rests against its pad; they show whether these moved.
     pedicles : centres of the left and the right pedicle; they determine axial rotation.
     """
 
