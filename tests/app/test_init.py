@@ -412,6 +412,20 @@ def test_geometry_that_is_null_is_filled_as_geometry_that_is_left_out(spinestiff
     }  # fmt: skip
 
 
+def test_a_push_folder_without_pictures_stops_no_filling(spinestiff, tmp_path, source, table):
+    out = tmp_path / "girl"
+    assert spinestiff("init", out, source, *PERSON, "--pushes", table).status == 0
+    record = json.loads((out / "subject.json").read_text())
+    push = out / record["pushes"][0]["frames"]
+    push.unlink()
+    push.mkdir()
+    record["age"] = None
+    (out / "subject.json").write_text(json.dumps(record))
+    done = spinestiff("init", out, *PERSON)
+    assert "found no radiographs in this folder" in done.out + done.err
+    assert json.loads((out / "subject.json").read_text())["age"] == 13, done.err
+
+
 # Logs of gauges
 
 

@@ -210,9 +210,9 @@ def test_a_corner_that_is_lost_under_the_largest_force_leaves_the_levels():
     assert lost.force_n == 40.0 and lost.instead_of is whole.instead_of is None
     assert lost.curve.levels == whole.curve.levels == ("T4", "L2") and lost.curve.frames == (0, 1, 2)
     assert lost.curve.change_deg == pytest.approx(-8.0) and lost.flexibility.percent == pytest.approx(32.0)
-    # Tilt goes on to the frame that shows its own two vertebrae, its change to the same force as the curve's.
+    # Tilt goes on to the largest force, where its own two vertebrae are shown.
     assert lost.tilt.levels == whole.tilt.levels and lost.tilt.frames == (0, 1, 2, 3)
-    assert lost.tilt.change_deg == pytest.approx(-8.0)
+    assert lost.tilt.change_deg == pytest.approx(-12.0)
     first = push_response([without(frames[0], "T4"), *frames[1:], replace(frames[0], frame=4)], rest_of(25.0))
     assert first.curve.levels == ("T4", "L2") and first.curve.frames == (1, 2, 3, 4)
 
@@ -222,6 +222,16 @@ def test_end_vertebrae_that_no_loaded_frame_shows_give_way_to_others_and_are_tol
     found = push_response([frames[0], *(without(frame, "T4", "T5") for frame in frames[1:])], rest_of(25.0))
     assert found.instead_of == ("T4", "L2") and found.force_n == 60.0
     assert found.curve.levels == ("T3", "L2") and found.curve.frames == (0, 1, 2, 3)
+
+
+def test_end_vertebrae_that_a_small_force_alone_shows_give_way_too():
+    """T4 leaves the picture above a twelfth of the largest force: what is left says nothing of the push."""
+    forces = (0.0, 5.0, 20.0, 40.0, 60.0)
+    frames = frames_of([25.0 * CURVE + 0.2 * force * BENDING for force in forces], forces)
+    found = push_response([*frames[:2], *(without(frame, "T4") for frame in frames[2:])], rest_of(25.0))
+    assert found.instead_of == ("T4", "L2") and found.force_n == 60.0
+    assert found.tilt.frames[-1] == 4 and found.tilt.change_deg == pytest.approx(-12.0, abs=1.5)
+    assert found.flexibility.percent > 30.0
 
 
 def test_a_straight_spine_has_no_flexibility():

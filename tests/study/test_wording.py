@@ -384,7 +384,7 @@ def test_a_curve_between_other_end_vertebrae_is_told():
     (told,) = lines_of(tilt=curve, curve=curve, flexibility=share, instead_of=("T4", "T11"))[3:]
     assert told == (
         "push 'main': the curve is T5–T11, not the rest picture's T4–T11, of which no frame without force or none "
-        "under a force shows both end vertebrae"
+        "under half of the largest force shows both end vertebrae"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -16,7 +16,7 @@ from rich.table import Table
 
 from spinestiff.app import questions, tables
 from spinestiff.app.progress import progress
-from spinestiff.errors import OptionError, SubjectError
+from spinestiff.errors import OptionError, RadiographError, SubjectError
 from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.imaging.radiograph import candidates
@@ -145,7 +145,10 @@ def _fill(folder: Path, asked: Asked) -> None:
     pushes = data["pushes"]
     places = {**REST_IMAGES, **{f"push/{push['id']}": push["frames"] for push in pushes}}
     there = {image: folder / place for image, place in places.items() if (folder / place).exists()}
-    pictures = {image: candidates(path) if path.is_dir() else [path] for image, path in there.items()}
+    pictures: dict[str, list[Path]] = {}
+    for image, path in there.items():
+        with suppress(RadiographError):  # a folder without any, as the gaps tell
+            pictures[image] = list(candidates(path)) if path.is_dir() else [path]
     making.check_geometry(before, data, pictures)
     work = _Work(data, [[folder / push["frames"]] for push in pushes], [(push["frames"],) for push in pushes])
     _ask_and_log(work, asked, notes, lambda: None)

@@ -23,6 +23,8 @@ from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
 from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse
 
+LEAST_SHARE = 0.5
+"""Of a push's largest force: below it a frame tells too little of the push to be its last one."""
 CHOSEN_95 = 3.5
 """As ``HALF_WIDTH_95`` for the largest of a spine's 136 pairs: which pair is largest is chosen by noise, too."""
 
@@ -126,8 +128,8 @@ def push_response(
         a loaded one, ``missing`` says so.
     rest : of the whole rest picture, which chooses the Cobb angle's end vertebrae. Chosen in the frame that is
         measured, the largest angle of many would be too large by its own noise. Where no frame without force or none
-        under a force shows both, ``instead_of`` has them, and the curve is the rest picture's largest angle of the
-        vertebrae that were followed.
+        under ``LEAST_SHARE`` of the largest one shows both, ``instead_of`` has them, and the curve is the rest
+        picture's largest angle of the vertebrae that were followed.
     gauge : its errors.
     noise : standard deviation of an annotated corner's coordinates, mm at the patient plane; None = 2 % of the
         vertebrae's median width.
@@ -145,8 +147,10 @@ def push_response(
         return PushResponse(force_n=force, missing=f"no usable frame {without}")
     end = cobb_angle(rest)
     shown = _first_and_most([frame for frame in frames if {end.upper, end.lower} <= set(frame.whole)])
+    if shown is not None and shown[1].force_n < LEAST_SHARE * measured[1].force_n:
+        shown = None
     start, most = shown or measured
-    common = tuple(name for name in start.whole if name in most.whole)
+    common = _in_both(start, most)
     instead_of = None
     if shown is None:
         named = tuple(name for name in common if name in rest.vertebrae)
@@ -154,15 +158,22 @@ def push_response(
             few = f"frames {start.frame} and {most.frame} show fewer than two vertebrae in common"
             return PushResponse(force_n=most.force_n, missing=few)
         instead_of, end = (end.upper, end.lower), cobb_angle(rest.selected(named))
-    tilt_levels = cobb_change(start.tilts(common), most.tilts(common)).tilt_levels
+    # Which two turned most is asked of the largest force of all, where that frame shows any two.
+    first, last = measured if len(_in_both(*measured)) > 1 else (start, most)
+    turned = _in_both(first, last)
+    tilt_levels = cobb_change(first.tilts(turned), last.tilts(turned)).tilt_levels
     curve = _followed(frames, (end.upper, end.lower), noise)
     return PushResponse(
         force_n=most.force_n,
-        tilt=_response(_followed(frames, tilt_levels, noise), most, gauge, CHOSEN_95),
+        tilt=_response(_followed(frames, tilt_levels, noise), last, gauge, CHOSEN_95),
         curve=_response(curve, most, gauge, HALF_WIDTH_95),
         flexibility=_flexibility(curve, most),
         instead_of=instead_of,
     )
+
+
+def _in_both(one: FrameCorners, other: FrameCorners) -> tuple[str, ...]:
+    return tuple(name for name in one.whole if name in other.whole)
 
 
 def _first_and_most(frames: Sequence[FrameCorners]) -> tuple[FrameCorners, FrameCorners] | None:

@@ -125,7 +125,7 @@ def fit_stiffness(
     asked = _asked(problems, trials, groups, orientation, observer, priors, geometry, taped, population, limits)
     trial_set = asked.trial_set
     first = _start(names, start, bounds)
-    default = None if starts is not None else _default_point(trial_set)
+    default = None if starts is not None and method == "weighed" else _default_point(trial_set)
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
         start_point = _start_point(asked, first, nuisances, default, limits, starts)

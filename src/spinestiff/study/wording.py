@@ -451,7 +451,7 @@ def response_texts(push: PushResponse) -> list[str]:
     if push.instead_of is not None:
         texts.append(
             f"the curve is {_levels(push.curve)}, not the rest picture's {'–'.join(push.instead_of)}, of which no "
-            "frame without force or none under a force shows both end vertebrae"
+            "frame without force or none under half of the largest force shows both end vertebrae"
         )
     wide = [(what, one.scatter) for what, one in (("the curve", push.curve), (tilt, push.tilt)) if one.scatter]
     texts += [
