@@ -82,7 +82,7 @@ def blas_on_one_thread() -> AbstractContextManager[object]:
     """Inside, BLAS works on the caller's thread, whoever started Python with which settings.
 
     A solve has thousands of products of vectors, for each of which BLAS would wake all its threads: beside another
-    process on two processors the steps of an equilibrium took four times as long. The number is that of the process:
+    process on two processors the steps of equilibria took 3.8 times as long. The number is that of the process:
     where two threads of a caller's own solve at overlapping times, it may stay at one.
     """
     return nullcontext() if getattr(_here, "busy", False) else _blas().limit(limits=1, user_api="blas")

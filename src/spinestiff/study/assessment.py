@@ -98,8 +98,8 @@ def single_ratio(
     Parameters
     ----------
     nuisances : of an estimate by other ratios, in prior standard deviations, to begin at.
-    states : of that estimate in the training frames under load, to solve the start from; both halve the work of a
-        search that begins on a coarse torso (demo: 28 factorisations of the fine mesh instead of 37 and a coarse fit).
+    states : of that estimate in the training frames under load, to solve the start from. With both no fit on a coarse
+        torso is needed.
     """
     try:
         fit = fit_pushes(
