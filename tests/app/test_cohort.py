@@ -173,6 +173,20 @@ def test_a_subject_folder_is_no_place_for_a_cohort(spinestiff, tmp_path):
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["subject.json"]
 
 
+@pytest.mark.parametrize("name", ["cohort.csv", "cohort.json", "cohort.html"])
+def test_nobody_elses_table_is_replaced(spinestiff, tmp_path, name):
+    cohort_of(tmp_path / "in", 1)
+    (tmp_path / "out").mkdir()
+    own = tmp_path / "out" / name
+    own.write_text("participant,age\nA,12\n", encoding="utf-8")
+    for level in ((), ("participant",), ("group",)):
+        ran = spinestiff("cohort", str(tmp_path / "in"), str(tmp_path / "out"), *level)
+        assert (ran.status, ran.out, len(ran.lines)) == (2, "", 1)
+        assert f"{name}: was not written by cohort, which would replace it; choose another folder" in ran.err
+    assert own.read_text(encoding="utf-8") == "participant,age\nA,12\n"
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
+
+
 def test_news_may_come_while_the_table_is_drawn():
     shown, drawn, failed = Shown(20_000, 2, lambda line: None), threading.Event(), []
     shown.expect(60.0)

@@ -77,6 +77,9 @@ def run_cohort(
         raise OptionError(
             f"{target}: is a subject folder; a cohort has a folder for each participant, name another one"
         )
+    from spinestiff.cohort.overview import refuse_foreign, write_overview
+
+    refuse_foreign(target)
     cohort = Cohort(source, target, read_participants(source), order)
     status = 0
     if level != "group":
@@ -84,8 +87,6 @@ def run_cohort(
         _print(summary, target)
         status = FAILED if summary.failed else 0
     if level != "participant":
-        from spinestiff.cohort.overview import write_overview
-
         for line in write_overview(source, target, cohort.participants, difference, None if level and usual else order):
             print(line)
     return status

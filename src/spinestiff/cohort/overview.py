@@ -9,6 +9,7 @@ from pathlib import Path
 
 from spinestiff import __version__
 from spinestiff.cohort.group import (
+    PLAIN_COLUMNS,
     STATES,
     common_order,
     csv_text,
@@ -26,9 +27,33 @@ from spinestiff.cohort.places import place_of, sweep
 from spinestiff.cohort.statistics import cohort_statistics
 from spinestiff.cohort.statistics_words import statistics_lines, statistics_sections
 from spinestiff.cohort.worker import recover
+from spinestiff.errors import SubjectError
 from spinestiff.files import write_bytes, write_json, write_text
 
 CSV, JSON, PAGE, PICTURE = "cohort.csv", "cohort.json", "cohort.html", "cohort.png"
+_OURS = {
+    CSV: ",".join(PLAIN_COLUMNS[:2]),
+    JSON: '{\n "participants": [',
+    PAGE: '<meta name="generator" content="spinestiff ',
+}
+_START = 1000
+"""Bytes of a file in which ``_OURS`` stands."""
+
+
+def refuse_foreign(target: Path) -> None:
+    """Raise SubjectError where the folder has a file of somebody else's by the name of one that ``write_overview``
+    replaces."""
+    for name, ours in _OURS.items():
+        path = target / name
+        if not path.exists():
+            continue
+        try:
+            with path.open("rb") as file:
+                is_ours = ours.encode() in file.read(_START)
+        except OSError:  # a folder, or closed to this account: it could not be replaced
+            is_ours = False
+        if not is_ours:
+            raise SubjectError(f"{path}: was not written by cohort, which would replace it; choose another folder")
 
 
 def write_overview(
@@ -46,9 +71,11 @@ def write_overview(
 
     Raises
     ------
-    InUseError : a run is at work on them. SubjectError : nobody was run; a file can't be written.
+    InUseError : a run is at work on them. SubjectError : nobody was run; a file that is there is somebody else's
+        (``refuse_foreign``); a file can't be written.
     """
     refuse_nowhere(target)
+    refuse_foreign(target)
     with cohort_lock(target):
         sweep(target)
         for participant in participants:
