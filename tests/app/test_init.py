@@ -248,6 +248,14 @@ def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path,
         (("--log-offset", "push-1=3"), "--log-offset: belongs to a --log of the same push"),
         (("--log-units", "s,N"), "--log-units: belongs to a --log; give both"),
         (("--log-columns", "t,F"), "--log-columns: belongs to a --log; give both"),
+        (("--mass", 0), "--mass 0: wanted above 0 and at most 300 kg"),
+        (("--trunk", "T9"), "--trunk T9: wanted LEVEL=BREADTH,DEPTH, a vertebra from T1 to L5 and mm, e.g. T9=245,172"),
+        (("--trunk", "T19=245,172"), "--trunk T19=245,172: wanted LEVEL=BREADTH,DEPTH"),
+        (("--trunk", "T9=245"), "--trunk T9=245: wanted LEVEL=BREADTH,DEPTH"),
+        (("--trunk", "T9=245,17.2"), "--trunk T9=245,17.2, depth 17.2: wanted 80 to 500 mm"),
+        (("--trunk", "T9=24.5,172"), "breadth 24.5: wanted 100 to 600 mm"),
+        (("--trunk", "T9=245,172", "--trunk", "T9=246,172"), "T9=246,172: given twice for T9; wanted once"),
+        (("--mass", 150, "--height", 150), "mass_kg: body mass 150 kg at 150 cm is 66.7 kg/m2"),
     ],
 )
 def test_options_that_say_nothing_sensible_are_refused(spinestiff, tmp_path, source, options, words):
@@ -372,6 +380,19 @@ def without_distances(folder):
         del push["d21_mm"], push["d31_mm"]
     path.write_text(json.dumps({**data, "height_cm": None}))
     return data
+
+
+def test_mass_and_the_trunks_sizes_are_taken_at_once_or_later(spinestiff, tmp_path, source, table):
+    out = tmp_path / "girl"
+    assert spinestiff("init", out, source, "--pushes", table, "--mass", 44, "--trunk", "T9=245,172").status == 0
+    data = json.loads((out / "subject.json").read_text())
+    assert (data["mass_kg"], data["trunk"]) == (44.0, {"T9": {"breadth_mm": 245.0, "depth_mm": 172.0}})
+    done = spinestiff("init", out, "--trunk", "L3 = 220.5, 160", "--trunk", "T9=250,172", "--mass", 45)
+    assert done.status == 0
+    assert "trunk.T9: stays 245.0 by 172.0 mm, 250.0 by 172.0 mm was given; change it in subject.json" in done.out
+    assert "mass_kg: stays 44.0, 45.0 was given" in done.out
+    changed = json.loads((out / "subject.json").read_text())
+    assert changed == {**data, "trunk": {**data["trunk"], "L3": {"breadth_mm": 220.5, "depth_mm": 160.0}}}
 
 
 def test_distances_that_are_left_out_are_shown_as_unknown_and_stay_so(spinestiff, tmp_path, source):

@@ -58,7 +58,7 @@ NUMBERS = numbers()
 
 
 def test_all_commands_were_walked():
-    assert len(NUMBERS) == 32
+    assert len(NUMBERS) == 33
     assert {words for words, _ in NUMBERS} == {
         ("synth",), ("init",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
         ("plan",), ("cohort",), ("serve",),
@@ -229,7 +229,7 @@ def test_the_shell_offers_all_words_that_an_option_takes_and_no_other():
     open_ = {
         "--ratios", "--spine-id", "--id", "--log", "--log-columns", "--log-units", "--log-offset", "--study",
         "--frontal", "--lateral", "--host", "--proxy", "--parameters", "--ribs", "--under", "--scheduler", "--axes",
-        "--mesher", "--source-detector", "--source-patient", "--imager-pixel",
+        "--mesher", "--source-detector", "--source-patient", "--imager-pixel", "--trunk",
     }  # fmt: skip
     found = offered(typer.main.get_command(app))
     assert {option for _, option in found} == known.keys() | open_

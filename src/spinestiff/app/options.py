@@ -104,6 +104,30 @@ def by_picture(option: str, texts: Sequence[str], limits: Limits) -> dict[str, f
     return found
 
 
+def by_level(option: str, texts: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Sizes of the trunk "LEVEL=BREADTH,DEPTH", mm, by the level, as ``subject.json`` has them.
+
+    Raises
+    ------
+    OptionError : no level or numbers, outside the limits, or twice for a level.
+    """
+    from spinestiff.anatomy.names import VERTEBRAE
+    from spinestiff.subject.records import BREADTHS_MM, DEPTHS_MM
+
+    found: dict[str, dict[str, float]] = {}
+    for text in texts:
+        level, _, sizes = (part.strip() for part in text.partition("="))
+        given, numbers = f"{option} {text[:80]}", [plain_number(part) for part in sizes.split(",")]
+        if level not in VERTEBRAE or len(numbers) != 2 or any(math.isnan(value) for value in numbers):
+            raise OptionError(f"{given}: wanted LEVEL=BREADTH,DEPTH, a vertebra from T1 to L5 and mm, e.g. T9=245,172")
+        if level in found:
+            raise OptionError(f"{given}: given twice for {level}; wanted once")
+        _check_within(f"{given}, breadth {numbers[0]:g}", numbers[0], "mm", lambda: BREADTHS_MM)
+        _check_within(f"{given}, depth {numbers[1]:g}", numbers[1], "mm", lambda: DEPTHS_MM)
+        found[level] = {"breadth_mm": numbers[0], "depth_mm": numbers[1]}
+    return found
+
+
 def height_limits() -> tuple[float, float]:
     """cm, of the template."""
     from spinestiff.anatomy.template.body import HEIGHT_RANGE_CM
@@ -234,6 +258,13 @@ def oldest_limits() -> tuple[float, float]:
     from spinestiff.subject.records import OLDEST
 
     return 0.0, OLDEST
+
+
+def body_mass_limits() -> tuple[float, float]:
+    """kg, of a subject; narrower at a body's own height."""
+    from spinestiff.subject.records import HEAVIEST_KG
+
+    return 0.0, HEAVIEST_KG
 
 
 def stature_limits() -> tuple[float, float]:

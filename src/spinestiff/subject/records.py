@@ -35,6 +35,8 @@ LEVELS = (1.0, 12.0)
 """Ribs."""
 HEIGHTS_CM = (120.0, 200.0)
 HEAVIEST_KG = 300.0
+BREADTHS_MM, DEPTHS_MM = (100.0, 600.0), (80.0, 500.0)
+"""Of a trunk."""
 OLDEST = 120.0
 """Years; an age is above 0."""
 MARKER_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}"
@@ -343,8 +345,8 @@ class PushRecord(Record):
 class TrunkRecord(Record):
     """Horizontal extents of the trunk at a level, by tape or caliper, mm: side to side and front to back."""
 
-    breadth_mm: Annotated[float, Field(ge=100.0, le=600.0)]
-    depth_mm: Annotated[float, Field(ge=80.0, le=500.0)]
+    breadth_mm: Annotated[float, Field(ge=BREADTHS_MM[0], le=BREADTHS_MM[1])]
+    depth_mm: Annotated[float, Field(ge=DEPTHS_MM[0], le=DEPTHS_MM[1])]
 
 
 class ScanRecord(Record):

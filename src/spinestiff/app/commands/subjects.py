@@ -11,6 +11,8 @@ from spinestiff.app.annotate import annotate_folder
 from spinestiff.app.commands.shared import Folder, at_work
 from spinestiff.app.options import (
     among,
+    body_mass_limits,
+    by_level,
     by_picture,
     distance_limits,
     level_limits,
@@ -45,6 +47,17 @@ def init(
     ] = None,
     height: Annotated[
         float | None, typer.Option(callback=within("cm", stature_limits), help="Standing height, cm.")
+    ] = None,
+    mass: Annotated[
+        float | None, typer.Option(callback=within("kg", body_mass_limits, above=True), help="Body mass, kg.")
+    ] = None,
+    trunk: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LEVEL=BREADTH,DEPTH",
+            help="Size of the trunk at the height of a vertebra by tape or caliper, mm, e.g. T9=245,172; may be "
+            "repeated.",
+        ),
     ] = None,
     side: Annotated[
         str | None,
@@ -108,7 +121,7 @@ def init(
     from spinestiff.app.questions import on_terminal
     from spinestiff.subject.intake.making import Given
 
-    person = {"age": age, "sex": sex, "height_cm": height}
+    person = {"age": age, "sex": sex, "height_cm": height, "mass_kg": mass}
     push = {"side": side, "level": level, "d21_mm": d21, "d31_mm": d31}
     lengths = {
         "source_detector_mm": by_picture("--source-detector", source_detector or (), source_limits),
@@ -119,7 +132,7 @@ def init(
     told, of_pushes, of_all = (
         {key: value for key, value in part.items() if value is not None} for part in (person, push, geometry)
     )
-    given = Given(told, of_pushes, of_all, lengths)
+    given = Given(told, of_pushes, of_all, lengths, by_level("--trunk", trunk or ()))
     asked = Asked(given, id, pushes, study, frontal, lateral, tuple(log or ()), tuple(log_offset or ()), log_columns,
                   log_units, not no_questions and on_terminal())  # fmt: skip
     make_subject(out, sources or [], asked)

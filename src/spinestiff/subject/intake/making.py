@@ -29,13 +29,15 @@ LOG_AGAIN = f"to read a force log again, write null for each of the push's force
 @dataclass(frozen=True)
 class Given:
     """What the user says: of the person, of all pushes for which nothing else is told, of the X-ray geometry of all
-    pictures, and of single ones: for each value of ``ImageXRayRecord`` the pictures by name.
+    pictures, and of single ones: for each value of ``ImageXRayRecord`` the pictures by name; the trunk's sizes by the
+    level, as ``TrunkRecord`` has them.
     """
 
     person: Mapping[str, Any] = field(default_factory=dict)
     pushes: Mapping[str, Any] = field(default_factory=dict)
     xray: Mapping[str, Any] = field(default_factory=dict)
     images: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    trunk: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def identifier_of(out: Path, given: str | None) -> str:
@@ -138,6 +140,12 @@ def fill(data: dict[str, Any], given: Given) -> list[str]:
             data[key] = value
         elif data[key] != value:
             notes.append(f"{key}: stays {data[key]}, {value} was given; change it in {SUBJECT_FILE}")
+    for level, sizes in given.trunk.items():
+        there = _put(_put(data, "trunk", {}), level, dict(sizes))
+        if there != sizes:
+            notes.append(
+                f"trunk.{level}: stays {_sizes(there)}, {_sizes(sizes)} was given; change it in {SUBJECT_FILE}"
+            )
     for key, value in given.pushes.items():
         count = sum(push.get(key) is None for push in data["pushes"])
         if count > 1:
@@ -205,6 +213,10 @@ def _geometry(data: Mapping[str, Any], image: str) -> Geometry:
         own.source_detector_mm, own.source_patient_mm, own.imager_pixel_mm,
         usual if xray.orientation == "standard" else None,  # type: ignore[arg-type]
     )  # fmt: skip
+
+
+def _sizes(trunk: Mapping[str, Any]) -> str:
+    return f"{trunk.get('breadth_mm')} by {trunk.get('depth_mm')} mm"
 
 
 def _put(there: dict[str, Any], key: str, value: Any) -> Any:
