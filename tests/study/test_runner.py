@@ -242,7 +242,7 @@ def move_corner(image):
         ("subject.json", set_parameters, AFTER["estimate"]),
         ("subject.json", set_population, AFTER["estimate"]),
         ("subject.json", set_force, ["response", *AFTER["estimate"]]),
-        ("subject.json", set_age, ["report"]),
+        ("subject.json", set_age, AFTER["personalise"]),
         ("subject.json", set_distance, ["track", "response", *AFTER["personalise"]]),
         ("annotation.json", move_corner("rest/frontal"), ["response", *AFTER["personalise"]]),
         ("annotation.json", move_corner("push/second"), ["track", "response", *AFTER["estimate"]]),
@@ -255,13 +255,6 @@ def test_a_change_redoes_what_uses_it_and_what_follows(subject, dry, name, chang
     edited(subject, name, change)
     assert dry(opened(subject)) == redone
     assert dry(opened(subject)) == []
-
-
-def test_age_and_sex_shape_the_torso_where_the_mass_is_known(subject, dry):
-    edited(subject, "subject.json", lambda content: content.update(mass_kg=45.0))
-    assert dry(opened(subject)) == AFTER["personalise"]
-    edited(subject, "subject.json", set_age)
-    assert dry(opened(subject)) == AFTER["personalise"]
 
 
 def test_changed_code_has_all_redone_and_says_why(subject, dry, monkeypatch):

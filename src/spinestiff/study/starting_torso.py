@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from spinestiff.anatomy.axes import body_axes
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.template.body import AGE_RANGE_YEARS
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError
 from spinestiff.personalise.scan import SkinScan, read_scan
@@ -17,16 +20,16 @@ OWN_HEIGHT = 0.1  # share by which an own torso's height may differ from the sub
 
 
 def subject_template(record: SubjectRecord, mesh: str) -> TorsoModel:
-    """The torso that a subject's radiographs shape: of the subject's own sizes where the mass is known, else the
-    reference body scaled to the height.
+    """The torso that a subject's radiographs shape: the body of this height, age and sex, with the subject's mass or,
+    where that is not known, the usual one. Younger and older people than the template has are as its youngest and
+    oldest.
 
     Raises
     ------
-    TorsoError : the template has no body of this age and mass.
+    TorsoError : the template has no body of this mass.
     """
-    if record.mass_kg is None:
-        return template_torso(record.height_cm, mesh)
-    return template_torso(record.height_cm, mesh, age_years=record.age, sex=record.sex, mass_kg=record.mass_kg)
+    age = float(np.clip(record.age, *AGE_RANGE_YEARS))
+    return template_torso(record.height_cm, mesh, age_years=age, sex=record.sex, mass_kg=record.mass_kg)
 
 
 def outputs_of_shape(visit: Visit) -> tuple[str, ...]:

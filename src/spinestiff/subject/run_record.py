@@ -79,14 +79,10 @@ def _frames(subject: Subject) -> object:
 
 
 def _body(subject: Subject) -> object:
-    """What the torso is shaped from; age and sex say nothing of it where the mass is not known."""
-    left_out = {"pushes", "xray", "id", *_SUPPORTS, *_ASKED}
-    return subject.record.model_dump(
-        mode="json", exclude=left_out if subject.record.mass_kg is not None else left_out | _PERSON
-    )
+    """What the torso is shaped from, age and sex among it."""
+    return subject.record.model_dump(mode="json", exclude={"pushes", "xray", "id", *_SUPPORTS, *_ASKED})
 
 
-_PERSON = {"age", "sex"}
 _SUPPORTS = {"pelvis", "wall", "priors"}
 _ASKED = {"parameters", "population"}
 """Settings that are in ``subject.json``: a step that follows them has them among its settings."""
@@ -103,7 +99,6 @@ PARTS: Mapping[str, Callable[[Subject], object]] = {
     ),
     f"{SUBJECT_FILE}: roles": lambda s: _pushes(s, "id", "roles"),
     f"{SUBJECT_FILE}: body": _body,
-    f"{SUBJECT_FILE}: person": lambda s: s.record.model_dump(mode="json", include=_PERSON),
     f"{SUBJECT_FILE}: supports": lambda s: s.record.model_dump(mode="json", include=_SUPPORTS),
     f"{ANNOTATION_FILE}: rest": lambda s: _images(s, "rest/"),
     f"{ANNOTATION_FILE}: pushes": lambda s: _images(s, "push/"),
