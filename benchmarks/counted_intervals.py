@@ -38,6 +38,12 @@ KINDS = {
 }
 """What else a body has that the model lacks, by its name in a row."""
 FIRST_TOLD = ("coarse pair, three pushes", "coarse pair, the paper's acquisition")
+PRESENT = {
+    "default chain, nuisances integrated out": "present, fine mesh (the default), three from one side",
+    "coarse pair, nuisances integrated out": "present, coarse mesh, three from one side",
+    "coarse pair, the paper's acquisition, nuisances integrated out": "present, coarse mesh, one (the paper's)",
+}
+"""Of the campaigns with the present estimator what pages call them."""
 LEAST_BY_PART = 30  # subjects of a campaign whose parts are told one by one in Markdown
 QUANTILES = ("evaluations", "factorisations", "cpu_s", "p_value", "tracking_factor", "rmse_mm")
 
@@ -303,6 +309,17 @@ def markdown(entries: Sequence[Row]) -> str:
         lines += ["", f"**{entry['scenario'].capitalize()}**, {entry['subjects']} subjects:", "", *by_part(entry)]
         lines += ["", *misses(entry)] if "misses" in entry else []  # figures stored before 2026-11-27 have none
     return "\n".join(lines)
+
+
+def present(entries: Sequence[Row]) -> list[str]:
+    """Lines of a Markdown table: of the campaigns with the present estimator, how many truths 95 % intervals hold."""
+    found = {one["scenario"]: one for one in entries}
+    lines = _head(("estimator, mesh, pushes", "subjects", "bending", "tissue", "both (joint region)"))
+    for name, words in PRESENT.items():
+        if name in found:
+            inside = [str(round(found[name]["coverage95"][of] * found[name]["subjects"])) for of in (*NAMES, JOINT)]
+            lines.append(_line(words, str(found[name]["subjects"]), *inside))
+    return lines
 
 
 def headline(entries: Sequence[Row]) -> str:

@@ -42,7 +42,7 @@ if __name__ == "__main__":
 else:
     raise ImportError("a command, not the package of this name that numba looks for")
 
-from counted_intervals import NAMES, headline, markdown, paired, read_logs, show, summarised
+from counted_intervals import NAMES, headline, markdown, paired, present, read_logs, show, summarised
 from coverage_rendered import rendered_subject
 from coverage_subjects import START, Acquisition, make_subject, seen_by
 from kept_rows import code, keep, prepare
@@ -251,7 +251,7 @@ def main() -> None:
         print(json.dumps(stored(asked.figures), indent=1))
     elif asked.markdown:
         found = stored(asked.figures)
-        print(headline(found), markdown(found), sep="\n\n")
+        print(headline(found), "\n".join(present(found)), markdown(found), sep="\n\n")
     elif asked.summary:
         show(summarised("logs", read_logs(asked.summary)))
     elif asked.store:

@@ -86,7 +86,7 @@ def test_without_marks_the_template_is_shown(unannotated, tmp_path):
         [*PROGRAM[:-1], "view", str(folder), "--out", str(out), "--no-open"], capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 0, done.stderr
-    assert "the template at the subject’s height, at rest" in done.stdout
+    assert "the template of the subject’s sizes, at rest" in done.stdout
     # The command stands there as a terminal takes it.
     page = out.read_text(encoding="utf-8")
     assert f'spinestiff run "{folder}"' in done.stdout and "spinestiff run &#34;a girl&#34;" in page

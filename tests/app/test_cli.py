@@ -48,6 +48,8 @@ COMMANDS = {
         "--age",
         "--sex",
         "--height",
+        "--mass",
+        "--trunk",
         "--side",
         "--level",
         "--d21",
@@ -391,7 +393,7 @@ def test_view_of_an_estimate_without_predictions_says_what_to_run(spinestiff, su
     ("lacking", "words"),
     [
         (("estimate.json",), "the subject’s torso at rest"),
-        (("estimate.json", "torso.npz"), "the template at the subject’s height"),
+        (("estimate.json", "torso.npz"), "the template of the subject’s sizes"),
     ],
 )
 def test_view_before_an_estimate_shows_rest_and_says_what_to_run(spinestiff, subject, browsers, lacking, words):

@@ -125,6 +125,15 @@ def test_the_first_words_of_the_pages_are_the_stored_campaigns():
         assert said in (ROOT / page).read_text(encoding="utf-8"), f"{page} says other than: {said}"
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/results.md", "docs/limits.md"])
+def test_pages_tell_of_the_present_estimator_what_is_stored(page):
+    lines = counting.present(json.loads((ROOT / "benchmarks/results/coverage.json").read_text()))
+    told = [line.strip() for line in (ROOT / page).read_text(encoding="utf-8").splitlines()]
+    assert len(lines) == 2 + len(counting.PRESENT)
+    for line in lines[2:]:
+        assert line in told, f"{page} lacks: {line}"
+
+
 def test_the_pages_tables_are_the_stored_campaigns():
     page = (ROOT / "docs/coverage.md").read_text(encoding="utf-8")
     for block in counting.markdown(json.loads((ROOT / "benchmarks/results/coverage.json").read_text())).split("\n\n"):

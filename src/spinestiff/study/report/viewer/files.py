@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from spinestiff.anatomy.files import read_torso
-from spinestiff.anatomy.template import template_torso
 from spinestiff.files import write_text
 from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.viewer.page import view_page
 from spinestiff.study.report.viewer.scene import Scene, visit_scene
+from spinestiff.study.starting_torso import subject_template
 from spinestiff.study.visit import Visit
 from spinestiff.words import pasted
 
@@ -36,7 +36,7 @@ def write_rest_view(visit: Visit, path: Path) -> str:
     if visit.file("torso.npz").is_file():
         torso, shown = visit.torso(), "the subject’s torso at rest"
     else:
-        torso, shown = template_torso(visit.subject.record.height_cm), "the template at the subject’s height, at rest"
+        torso, shown = subject_template(visit.subject.record, "coarse"), "the template of the subject’s sizes, at rest"
     # The page may be passed on, and tells no path.
     run = f"spinestiff run {pasted(Path(folder.name))}"
     note = f"No estimate yet: this is {shown}. For pushes and measured vertebrae: {run}"
