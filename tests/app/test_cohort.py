@@ -15,6 +15,7 @@ from spinestiff.app.cohort import Shown, _print, duration, order_of, run_cohort
 from spinestiff.cohort import subject_run
 from spinestiff.cohort.asked import Limits, News, Summary
 from spinestiff.cohort.marker import Order, examine
+from spinestiff.cohort.overview import refuse_foreign
 from spinestiff.cohort.places import place_of
 from spinestiff.cohort.row import read_row
 from spinestiff.cohort.worker import Task, make_results
@@ -173,18 +174,36 @@ def test_a_subject_folder_is_no_place_for_a_cohort(spinestiff, tmp_path):
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["subject.json"]
 
 
-@pytest.mark.parametrize("name", ["cohort.csv", "cohort.json", "cohort.html"])
-def test_nobody_elses_table_is_replaced(spinestiff, tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("cohort.csv", "participant,state\nA,Ohio\n", "does not begin as cohort writes it"),
+        ("cohort.csv", "", "does not begin as cohort writes it"),
+        ("cohort.json", '{"name": "girls", "participants": []}', "does not begin as cohort writes it"),
+        ("cohort.html", "<html><body>ours</body></html>", "does not begin as cohort writes it"),
+        ("cohort.png", "a picture", "cohort would replace it; move it away"),
+    ],
+)
+def test_nobody_elses_table_is_replaced(spinestiff, tmp_path, name, content, words):
     cohort_of(tmp_path / "in", 1)
     (tmp_path / "out").mkdir()
     own = tmp_path / "out" / name
-    own.write_text("participant,age\nA,12\n", encoding="utf-8")
+    own.write_text(content, encoding="utf-8")
     for level in ((), ("participant",), ("group",)):
         ran = spinestiff("cohort", str(tmp_path / "in"), str(tmp_path / "out"), *level)
         assert (ran.status, ran.out, len(ran.lines)) == (2, "", 1)
-        assert f"{name}: was not written by cohort, which would replace it; choose another folder" in ran.err
-    assert own.read_text(encoding="utf-8") == "participant,age\nA,12\n"
+        assert f"{name}: {words}" in ran.err
+    assert own.read_text(encoding="utf-8") == content
     assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
+
+
+def test_own_tables_are_replaced_as_a_spreadsheet_or_another_program_has_stored_them(tmp_path):
+    (tmp_path / "cohort.csv").write_text('\ufeff"participant";"state";"words";"id"\r\n', encoding="utf-8")
+    (tmp_path / "cohort.json").write_text('{"participants":[],\r\n"schema_version":1}', encoding="utf-8")
+    (tmp_path / "cohort.html").write_text('<meta name="generator" content="spinestiff 0.0.1">', encoding="utf-8")
+    (tmp_path / "cohort.png").write_bytes(b"")
+    refuse_foreign(tmp_path)
+    refuse_foreign(tmp_path / "nowhere")
 
 
 def test_news_may_come_while_the_table_is_drawn():

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.errors import SubjectError
+from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.projection import frontal_view, lateral_view, placed_view
 from spinestiff.imaging.radiograph import write_radiographs
-from spinestiff.study.starting_torso import subject_template
+from spinestiff.study.starting_torso import body_notes, subject_template
 from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.folder import (
     check_frames,
@@ -669,6 +669,16 @@ def test_who_is_younger_or_older_than_the_template_has_its_youngest_or_oldest(fo
     record = read_subject(folder).record
     found = [subject_template(record.model_copy(update={"age": years}), "coarse") for years in (age, taken)]
     np.testing.assert_array_equal(found[0].tissue.rest_positions, found[1].tissue.rest_positions)
+    assert body_notes(record.model_copy(update={"age": age})) == [
+        f"age {age:g}: the template's body is one of {taken:g} years"
+    ]
+    assert body_notes(record.model_copy(update={"age": taken})) == []
+
+
+def test_a_body_that_the_template_has_not_is_named_by_its_sizes(folder):
+    record = read_subject(folder).record.model_copy(update={"age": 8.0, "sex": "male", "height_cm": 198.0})
+    with pytest.raises(TorsoError, match=r"no body of 8 years, male, 198 cm: the tissue mesh .*; see whether subject"):
+        subject_template(record, "coarse")
 
 
 def test_keys_and_paths_that_are_odd_are_shown_in_short(folder):

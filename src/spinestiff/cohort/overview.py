@@ -28,32 +28,49 @@ from spinestiff.cohort.statistics import cohort_statistics
 from spinestiff.cohort.statistics_words import statistics_lines, statistics_sections
 from spinestiff.cohort.worker import recover
 from spinestiff.errors import SubjectError
-from spinestiff.files import write_bytes, write_json, write_text
+from spinestiff.files import trouble, write_bytes, write_json, write_text
 
 CSV, JSON, PAGE, PICTURE = "cohort.csv", "cohort.json", "cohort.html", "cohort.png"
-_OURS = {
-    CSV: ",".join(PLAIN_COLUMNS[:2]),
-    JSON: '{\n "participants": [',
-    PAGE: '<meta name="generator" content="spinestiff ',
-}
-_START = 1000
-"""Bytes of a file in which ``_OURS`` stands."""
+_MADE_BY = b'<meta name="generator" content="spinestiff '
+_START = 4000
+"""Bytes of a file that tell whose it is."""
 
 
 def refuse_foreign(target: Path) -> None:
     """Raise SubjectError where the folder has a file of somebody else's by the name of one that ``write_overview``
-    replaces."""
-    for name, ours in _OURS.items():
+    replaces or takes away."""
+    for name, is_ours in ((CSV, _our_table), (JSON, _our_record), (PAGE, _our_page)):
         path = target / name
         if not path.exists():
             continue
         try:
             with path.open("rb") as file:
-                is_ours = ours.encode() in file.read(_START)
-        except OSError:  # a folder, or closed to this account: it could not be replaced
-            is_ours = False
-        if not is_ours:
-            raise SubjectError(f"{path}: was not written by cohort, which would replace it; choose another folder")
+                ours = is_ours(file.read(_START))
+        except OSError as problem:
+            raise SubjectError(f"{path}: can't be read ({trouble(problem)}), and cohort would replace it") from None
+        if not ours:
+            raise SubjectError(
+                f"{path}: does not begin as cohort writes it, which would replace it; move it away, or choose another "
+                "folder"
+            )
+    picture = target / PICTURE
+    if picture.exists() and not (target / PAGE).exists():
+        raise SubjectError(f"{picture}: cohort would replace it; move it away, or choose another folder")
+
+
+def _our_table(start: bytes) -> bool:
+    """By its first columns, as a spreadsheet may have stored them again."""
+    header = start.decode("utf-8-sig", "replace").partition("\n")[0].replace('"', "").replace(";", ",")
+    return header.startswith(",".join(PLAIN_COLUMNS[:4]))
+
+
+def _our_record(start: bytes) -> bool:
+    """By its first key, however it is set out."""
+    return start.decode("utf-8-sig", "replace").lstrip("{ \r\n\t").startswith('"participants"')
+
+
+def _our_page(start: bytes) -> bool:
+    return _MADE_BY in start
 
 
 def write_overview(

@@ -33,7 +33,7 @@ class Priors:
     force_offset_n : N, of a push, common to its loaded frames: zero, and lag between log and exposure at 4 frames a
         second (paper 2.1).
     direction_deg : of a push against the lateral axis, upward and forward, each.
-    push_height_mm : of the pushed point's height; a rib level is told by palpation, to about a quarter of a level.
+    push_height_mm : of the pushed point's height; a rib level is told by palpation, to about a fifth of a level.
     push_depth_mm : of the pushed point, front to back.
     breathing_mm : of the pushed point's height from frame to frame: ribs rise by some mm with a quiet breath while
         the gauge stays.

@@ -81,8 +81,8 @@ class Personalised(ShortRepr):
     prior_only : vertebrae that no radiograph shows.
     carried : vertebra -> its motions (``MOTIONS``) that the prior determines more than its own images do.
     covariance : (6V, 6V) of the vertebrae's (dt mm, dw rad), vertebra by vertebra.
-    length_scale : the spine's length over the template's at the given height.
-    size_scale : (V, 3) width, height and depth of the vertebrae over the template's at the given height.
+    length_scale : the spine's length over the template's.
+    size_scale : (V, 3) width, height and depth of the vertebrae over the template's.
     corner_sd_mm : standard deviation of the annotated corners along one axis, from their residuals.
     quality : of the tissue mesh.
     scan : how the skin fits its scan, if there is one.

@@ -46,7 +46,7 @@ WITHOUT_PUSHES = {"personalise"}
 STEPS = ("track", "response", "personalise", "estimate", "assess", "report")
 PUSHES, ROLES = f"{SUBJECT_FILE}: pushes", f"{SUBJECT_FILE}: roles"
 XRAY, FRAMES, FORCES = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry", "frames", "forces"))
-BODY, SUPPORTS = (f"{SUBJECT_FILE}: {part}" for part in ("body", "supports"))
+BODY, PERSON, SUPPORTS = (f"{SUBJECT_FILE}: {part}" for part in ("body", "person", "supports"))
 REST_MARKS, PUSH_MARKS = f"{ANNOTATION_FILE}: rest", f"{ANNOTATION_FILE}: pushes"
 SHAPE = ("torso.npz", "personalised.json")
 MADE_BY = {
@@ -193,7 +193,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "report": Step(
         step_functions.report_step,
-        (PUSHES, ROLES, BODY, SUPPORTS, XRAY, REST_MARKS, PUSH_MARKS),
+        (PUSHES, ROLES, BODY, PERSON, SUPPORTS, XRAY, REST_MARKS, PUSH_MARKS),
         ("rest", "push"),
         ("tracked.json", "response.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
         lambda visit: ("report.html", "view.html"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -43,7 +44,7 @@ from spinestiff.study.predictions import (
 )
 from spinestiff.study.sensitivity import sensitivity_study
 from spinestiff.study.side_views import marked_pedicles, side_views
-from spinestiff.study.starting_torso import outputs_of_shape, skin_scan, starting_torso, subject_template
+from spinestiff.study.starting_torso import body_notes, outputs_of_shape, skin_scan, starting_torso, subject_template
 from spinestiff.study.summary import (
     ASSESSMENT_FILE,
     ESTIMATE_FILE,
@@ -168,6 +169,8 @@ def personalise_step(visit: Visit, say: Observer) -> None:
         say("shaping a coarse torso, too, which the estimate starts on")
         bodies.append(partial(shape, subject_template(subject.record, "coarse"), finer=fine))
     shaped, *coarse = in_parallel(lambda body: body(), bodies)
+    if subject.torso_path is None:
+        shaped = replace(shaped, warnings=(*body_notes(subject.record), *shaped.warnings))
     for warning in shaped.warnings:
         say(warning)
     visit.subject.results.mkdir(exist_ok=True)

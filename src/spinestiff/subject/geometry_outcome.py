@@ -47,8 +47,8 @@ class GeometryRecord(OutcomeFile):
     ----------
     rmse_mm, poses, views, millimetres, fits : by view, "frontal" and "lateral"; ``fits`` by vertebra.
     prior_only : vertebrae that no radiograph shows. carried : vertebra -> motions that the prior determines more.
-    length_scale : the spine's length over the template's at the given height.
-    size_scale : vertebra -> width, height and depth over the template's at the given height.
+    length_scale : the spine's length over that of the template of the subject's sizes.
+    size_scale : vertebra -> width, height and depth over the same template's.
     corner_sd_mm : of annotated corners along one axis.
     covariance : (V, 6, 6V) rows of the covariance of (dt mm, dw rad), vertebra by vertebra.
     """

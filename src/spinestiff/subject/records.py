@@ -383,7 +383,7 @@ class SubjectRecord(Record):
     age : years.
     sex : "female" or "male".
     height_cm : standing height.
-    mass_kg : body mass; with it the template takes the sizes of this age, sex, height and mass.
+    mass_kg : body mass; the template takes the sizes of this age, sex, height and mass, or the usual mass.
     xray : geometry where DICOM lacks it.
     torso : a torso file of the subject's own bones (``spinestiff torso import``) instead of the template, relative to
         the subject folder.

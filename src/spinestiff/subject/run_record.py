@@ -83,6 +83,7 @@ def _body(subject: Subject) -> object:
     return subject.record.model_dump(mode="json", exclude={"pushes", "xray", "id", *_SUPPORTS, *_ASKED})
 
 
+_PERSON = {"age", "sex"}
 _SUPPORTS = {"pelvis", "wall", "priors"}
 _ASKED = {"parameters", "population"}
 """Settings that are in ``subject.json``: a step that follows them has them among its settings."""
@@ -99,6 +100,8 @@ PARTS: Mapping[str, Callable[[Subject], object]] = {
     ),
     f"{SUBJECT_FILE}: roles": lambda s: _pushes(s, "id", "roles"),
     f"{SUBJECT_FILE}: body": _body,
+    # In the body, too; records of earlier versions have it apart.
+    f"{SUBJECT_FILE}: person": lambda s: s.record.model_dump(mode="json", include=_PERSON),
     f"{SUBJECT_FILE}: supports": lambda s: s.record.model_dump(mode="json", include=_SUPPORTS),
     f"{ANNOTATION_FILE}: rest": lambda s: _images(s, "rest/"),
     f"{ANNOTATION_FILE}: pushes": lambda s: _images(s, "push/"),

@@ -26,7 +26,7 @@ class RestShape:
     Attributes
     ----------
     corner_sd_mm : standard deviation of the annotated corners along one axis, from their residuals.
-    length_scale : the spine's length over the template's at the subject's height.
+    length_scale : the spine's length over that of the template of the subject's sizes.
     size_scale : (V, 3) width, height and depth of the vertebrae over the template's.
     fits : per view, per vertebra seen: how well it fits.
     """
