@@ -203,6 +203,8 @@ def test_own_tables_are_replaced_as_a_spreadsheet_or_another_program_has_stored_
     (tmp_path / "cohort.html").write_text('<meta name="generator" content="spinestiff 0.0.1">', encoding="utf-8")
     (tmp_path / "cohort.png").write_bytes(b"")
     refuse_foreign(tmp_path)
+    (tmp_path / "cohort.html").unlink()  # a run that was killed between picture and page
+    refuse_foreign(tmp_path)
     refuse_foreign(tmp_path / "nowhere")
 
 

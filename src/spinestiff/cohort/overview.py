@@ -54,7 +54,8 @@ def refuse_foreign(target: Path) -> None:
                 "folder"
             )
     picture = target / PICTURE
-    if picture.exists() and not (target / PAGE).exists():
+    # A picture tells nothing of whose it is; ours is written after the tables.
+    if picture.exists() and not (target / JSON).exists():
         raise SubjectError(f"{picture}: cohort would replace it; move it away, or choose another folder")
 
 
