@@ -248,20 +248,31 @@ def test_mesh_and_bones_mirror_each_other(torso):
         np.testing.assert_allclose(ours * MIRROR, theirs, atol=1e-9)
 
 
+def share_in_their_bones(torso):
+    """Of the tied nodes."""
+    nodes, bone = torso.tissue.rest_positions, torso.tissue.bone_of_node
+    return np.concatenate([inside(surface(torso, name), nodes[bone == i]) for i, name in enumerate(BONES)]).mean()
+
+
 def test_mesh_fills_the_skin_and_its_tied_nodes_lie_in_their_bones(torso, skeleton):
     bone = torso.tissue.bone_of_node
     volume = signed_volume(skeleton.skin.surface(120, 180))
     assert torso.tissue.corner_volumes().sum() == pytest.approx(volume, rel=0.02)
     assert bone[np.unique(torso.tissue.boundary_faces())].max() == -1
-    reference = template_torso(157.0, "coarse")
-    share = {}
-    for model in (torso, reference):
-        within = [inside(surface(model, name), model.tissue.rest_positions[bone == i]) for i, name in enumerate(BONES)]
-        share[model is torso] = np.concatenate(within).mean()
-    assert share[True] > share[False] - 0.12
+    assert share_in_their_bones(torso) > share_in_their_bones(template_torso(157.0, "coarse")) - 0.12
 
 
 @pytest.mark.parametrize("given", BODIES, indirect=True, scope="module")
+def test_the_mesh_of_synthetic_subjects_fills_the_same_body(torso, given):
+    own = template_torso(mesh="own", **given)
+    tissue = own.tissue
+    assert tissue.corner_volumes().min() > 0.0
+    assert dihedral_angles(tissue.rest_positions[tissue.elements[:, :4]]).min() > 6.0
+    assert tissue.corner_volumes().sum() == pytest.approx(torso.tissue.corner_volumes().sum(), rel=5e-3)
+    np.testing.assert_array_equal(own.rest_pose.bone_positions, torso.rest_pose.bone_positions)
+    assert share_in_their_bones(own) > share_in_their_bones(template_torso(157.0, "own")) - 0.05
+
+
 def test_a_free_body_has_six_motions_without_energy(torso):
     potential = Potential(torso)
     pattern = potential.pattern
@@ -357,8 +368,9 @@ def test_harmonic_reproduces_linear_fields():
     np.testing.assert_allclose(found, field, atol=1e-6)
 
 
-def test_warping_to_the_same_body_changes_nothing():
-    skeleton, tissue = build_skeleton(), template_torso(157.0, "fine").tissue
+@pytest.mark.parametrize("mesh", ["fine", "own"])
+def test_warping_to_the_same_body_changes_nothing(mesh):
+    skeleton, tissue = build_skeleton(), template_torso(157.0, mesh).tissue
     np.testing.assert_allclose(warped_nodes(tissue, skeleton, skeleton), tissue.rest_positions, atol=1e-9)
 
 

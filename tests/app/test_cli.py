@@ -31,6 +31,8 @@ COMMANDS = {
     "synth": (
         "--seed",
         "--height",
+        "--age",
+        "--sex",
         "--cobb",
         "--curve",
         "--force",
@@ -519,6 +521,8 @@ def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch)
     assert asked[1] == (tmp_path / "y", Recipe(ratios=(0.1, 0.04), pushes=PLANNED_PUSHES))
     refused(spinestiff("demo", "--out", tmp_path / "w", "--acquisition", "paper"), "far enough", 3)
     assert asked.pop() == (tmp_path / "w", Recipe(ratios=(0.1, 0.04)))
+    refused(spinestiff("synth", tmp_path / "z", "--age", 30, "--sex", "male"), "far enough", 3)
+    assert asked.pop() == (tmp_path / "z", Recipe(age=30.0, sex="male"))
     refused(spinestiff("synth", tmp_path / "z", "--nodes", 4000), "far enough", 3)
     assert asked[2] == (tmp_path / "z", Recipe(nodes=4000))
     refused(spinestiff("synth", tmp_path / "z", "--biplanar"), "far enough", 3)

@@ -58,7 +58,7 @@ NUMBERS = numbers()
 
 
 def test_all_commands_were_walked():
-    assert len(NUMBERS) == 33
+    assert len(NUMBERS) == 34
     assert {words for words, _ in NUMBERS} == {
         ("synth",), ("init",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
         ("plan",), ("cohort",), ("serve",),
@@ -157,6 +157,7 @@ def test_each_option_has_the_limits_of_its_quantity(spinestiff, tmp_path):
         ("torso", "show", "--lordosis", 5): "35 to 60 degrees",
         ("torso", "import", "none", "--out", "new", "--height", 80): "90 to 230 cm",
         ("torso", "import", "none", "--out", "new", "--spacing", 1): "9 to 60 mm",
+        ("synth", "new", "--age", 7): "8 to 100 years",
         ("synth", "new", "--cobb", -81): "-80 to 80 degrees",
         ("synth", "new", "--nodes", 2999): "3000 to 65000 nodes",
         ("synth", "new", "--markers", 2): "3 to 60 markers",

@@ -516,6 +516,19 @@ def test_a_mesh_of_a_subjects_own_is_asked_for_by_seed_and_nodes(monkeypatch):
     assert [(how["seed"], how["nodes"]) for _, how in asked] == [(7, 3000), (8, 25_000), (9, None)]
 
 
+@pytest.mark.parametrize("mesh", ["own", "coarse"])
+def test_the_body_is_of_the_recipes_age_and_sex(monkeypatch, mesh):
+    monkeypatch.setattr(synthetic, "place_vertebrae", lambda torso, *poses, **how: torso)
+    boy, reference = (
+        synthetic.subject_torso(replace(Recipe(height_cm=175.0, mesh=mesh), **who))
+        for who in ({"age": 16.0, "sex": "male"}, {})
+    )
+    wanted = template_torso(175.0, mesh, age_years=16.0, sex="male").tissue.rest_positions
+    np.testing.assert_array_equal(boy.tissue.rest_positions, wanted)
+    widths = [np.ptp(torso.tissue.rest_positions[:, 0]) for torso in (boy, reference)]
+    assert abs(widths[0] - widths[1]) > 5.0
+
+
 def test_a_recipes_record_names_the_table_without_its_place():
     record = Recipe(spine=(Path("somewhere") / "spines.csv", "a1"), ratios=(0.1, 0.01)).as_record()
     assert record["spine"] == ["spines.csv", "a1"]

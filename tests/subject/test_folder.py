@@ -15,7 +15,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.projection import frontal_view, lateral_view, placed_view
 from spinestiff.imaging.radiograph import write_radiographs
-from spinestiff.study.starting_torso import body_notes, subject_template
+from spinestiff.study.subject_body import body_notes, subject_template
 from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.folder import (
     check_frames,

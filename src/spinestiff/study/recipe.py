@@ -99,7 +99,7 @@ class Recipe:
     supports : how much belt and shoulder's pad give under ``force_n``; drawn from 0 to 4 degrees and 0 to 4 mm if None.
     biplanar : each frame of a push has a lateral radiograph, too, and pedicles are marked in all frontal ones.
     markers : on the skin of front and flanks, seen by cameras in each frame of a push; 0 = none.
-    age, sex : as told; the body is the template's of its height.
+    age, sex : whose body it is, with ``height_cm`` and the usual mass; years, 8 to 100.
     side : that is pushed; None: the convex one, which straightens the curve.
     secondary : deflection of a second curve to the other side, over the first one's (``spines.curved_spine``).
     stiffening : of the discs; None: linear, as the estimator's.

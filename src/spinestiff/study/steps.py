@@ -44,7 +44,8 @@ from spinestiff.study.predictions import (
 )
 from spinestiff.study.sensitivity import sensitivity_study
 from spinestiff.study.side_views import marked_pedicles, side_views
-from spinestiff.study.starting_torso import body_notes, outputs_of_shape, skin_scan, starting_torso, subject_template
+from spinestiff.study.starting_torso import outputs_of_shape, skin_scan, starting_torso
+from spinestiff.study.subject_body import body_notes, subject_template
 from spinestiff.study.summary import (
     ASSESSMENT_FILE,
     ESTIMATE_FILE,

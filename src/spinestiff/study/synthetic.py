@@ -199,7 +199,8 @@ def subject_torso(recipe: Recipe, observer: Observer | None = None) -> TorsoMode
     EquilibriumError, TorsoError : no torso of that shape, or it needs a new mesh and the extra [mesh] is missing.
     """
     coarse = recipe.nodes is not None and recipe.nodes <= CARRIED_COARSE
-    template = template_torso(recipe.height_cm, "coarse" if coarse else recipe.mesh)
+    mesh = "coarse" if coarse else recipe.mesh
+    template = template_torso(recipe.height_cm, mesh, age_years=recipe.age, sex=recipe.sex)
     poses: VertebraPoses
     if recipe.spine:
         poses = real_spine(template, *recipe.spine)

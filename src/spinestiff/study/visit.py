@@ -17,6 +17,7 @@ from spinestiff.estimation.fitted import METHODS
 from spinestiff.estimation.ratio_priors import POPULATIONS, ratio_prior
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
 from spinestiff.study.judgement import failed, judge_motion
+from spinestiff.study.subject_body import subject_template
 from spinestiff.study.trials import PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
 from spinestiff.subject.folder import Subject, read_subject
@@ -123,7 +124,7 @@ def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path
 
 def _check_prior(visit: Visit) -> None:
     """Whether the population has a prior for these ratios; the template's joints are every torso's."""
-    template = template_torso(visit.subject.record.height_cm, "coarse")
+    template = template_torso(157.0)
     try:
         ratio_prior(parameter_groups(template, visit.parameters), template.joints.kinds, 0.0, visit.population)
     except FitError as error:
@@ -178,8 +179,8 @@ def motion_doubts(visit: Visit) -> tuple[str, ...]:
     nothing where the tracking can't be put beside the template.
     """
     record = visit.subject.record
-    template = template_torso(record.height_cm, "coarse")
     try:
+        template = subject_template(record, "coarse")
         tracked = read_outcome(visit.subject, Tracked).pushes
         pushes = push_set(template, visit.subject.pushes, tracked, rig=rig_of(record))
     except SpinestiffError:

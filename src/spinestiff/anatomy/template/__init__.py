@@ -50,7 +50,7 @@ def template_torso(
     ----------
     height_cm : 120 to 200.
     mesh : "coarse" (about 3,000 tissue nodes) or "fine" (about 10,000); "own" (about 15,000), made in another way and
-        sharing no point with those, for synthetic subjects. With it, the height alone.
+        sharing no point with those, for synthetic subjects.
     age_years : 8 to 100; from 18 an adult.
     sex : "female" or "male".
     mass_kg : body mass, 12 to 40 kg/m2 over the squared height; changes the skin, not the bones.
@@ -72,8 +72,6 @@ def template_torso(
     if all(given is None for given in (age_years, sex, mass_kg, kyphosis_deg, lordosis_deg)):
         reference = _reference(mesh)
         torso = reference.scaled(height_cm / reference.height_cm)
-    elif mesh == OWN_MESH:
-        raise TorsoError(f"the tissue mesh '{OWN_MESH}' goes with the height alone; wanted {' or '.join(MESHES)}")
     else:
         torso = _warped(body_of(height_cm, age_years, sex, mass_kg, kyphosis_deg, lordosis_deg), mesh)
     return with_options(torso, disc_shift_mm, scapulothoracic_n_per_mm, thoracolumbar)

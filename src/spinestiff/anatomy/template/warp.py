@@ -67,12 +67,14 @@ def warped_nodes(mesh: TissueMesh, old: Skeleton, new: Skeleton) -> Floats:
 
 
 def with_skin(points: Floats, old: Skin, new: Skin) -> Floats:
-    """(n, 3) mm, points that keep their place in the rows of the skin: level, breadth and depth."""
+    """(n, 3) mm, points that keep their place in the rows of the skin: level, breadth and depth; beyond the first and
+    the last row, by as much as before."""
     x, y, z = points.T
-    level = PchipInterpolator(old.y, new.y)(np.clip(y, old.y[0], old.y[-1]))
-    was, now = old.row(y), new.row(level)
+    inside = np.clip(y, old.y[0], old.y[-1])
+    level = PchipInterpolator(old.y, new.y)(inside)
+    was, now = old.row(inside), new.row(level)
     depth = [np.where(z >= was[3], row[1] - row[3], row[3] - row[2]) for row in (was, now)]
-    return np.stack([x * now[0] / was[0], level, now[3] + (z - was[3]) * depth[1] / depth[0]], -1)
+    return np.stack([x * now[0] / was[0], level + y - inside, now[3] + (z - was[3]) * depth[1] / depth[0]], -1)
 
 
 def with_bone(points: Floats, old: Floats, new: Floats) -> Floats:
@@ -109,11 +111,9 @@ def harmonic(points: Floats, tetrahedra: Ints, fixed: np.ndarray, values: Floats
 
 
 def mirror_images(points: Floats) -> Ints:
-    """(n,) the point that mirrors each one about x = 0; itself in the plane."""
+    """(n,) the point that mirrors each one about x = 0: itself in the plane, -1 where there is none."""
     distance, other = cKDTree(points).query(points * [-1.0, 1.0, 1.0])
-    if distance.max() > 1e-3:
-        raise TorsoError("the reference's tissue mesh is not symmetric")
-    return np.asarray(other)
+    return np.where(distance < 1e-3, other, -1)
 
 
 def repaired(points: Floats, tetrahedra: Ints, mirror: Ints, room: Floats) -> Floats:
@@ -121,7 +121,7 @@ def repaired(points: Floats, tetrahedra: Ints, mirror: Ints, room: Floats) -> Fl
 
     Parameters
     ----------
-    mirror : (n,) mirror image of each corner; both are moved alike.
+    mirror : (n,) mirror image of each corner, both are moved alike; -1: it has none.
     room : (n,) mm, how far a corner may go.
     """
     home, points = points, np.array(points)
@@ -132,7 +132,7 @@ def repaired(points: Floats, tetrahedra: Ints, mirror: Ints, room: Floats) -> Fl
     for _ in range(30):
         worst = _worst_angles(points[tetrahedra])
         bad = np.unique(tetrahedra[worst < REPAIR_DEG])
-        bad = bad[(room[bad] > 0.0) & (bad <= mirror[bad])]
+        bad = bad[(room[bad] > 0.0) & ((mirror[bad] < 0) | (bad <= mirror[bad]))]
         improved = False
         for corner in bad.tolist():
             star = tetrahedra[order[starts[corner] : starts[corner + 1]] // 4]
@@ -152,7 +152,7 @@ def repaired(points: Floats, tetrahedra: Ints, mirror: Ints, room: Floats) -> Fl
             best = int(np.argmax(reached))
             if reached[best] > _worst_angles(p).min() + 0.01:
                 points[corner] += steps[best]
-                if mirror[corner] != corner:
+                if mirror[corner] not in (-1, corner):
                     points[mirror[corner]] += steps[best] * [-1.0, 1.0, 1.0]
                 improved = True
         if not improved:

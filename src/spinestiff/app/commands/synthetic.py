@@ -24,6 +24,7 @@ from spinestiff.app.commands.shared import (
     run_steps_of,
 )
 from spinestiff.app.findings import print_summary
+from spinestiff.app.options import age_limits, among, offering, within
 from spinestiff.errors import SubjectError
 from spinestiff.formats import plain_number
 
@@ -32,6 +33,15 @@ def synth(
     folder: Annotated[Path, typer.Argument(help="New subject folder; the truth goes beside it.")],
     seed: Seed = 0,
     height: Height = 157.0,
+    age: Annotated[float, typer.Option(callback=within("years", age_limits), help="Age, years, 8 to 100.")] = 13.0,
+    sex: Annotated[
+        str,
+        typer.Option(
+            callback=among("female", "male"),
+            help="female or male.",
+            autocompletion=offering("female", "male"),
+        ),
+    ] = "female",
     cobb: Cobb = None,
     curve: Curve = None,
     force: PushForce = 60.0,
@@ -50,7 +60,7 @@ def synth(
     from spinestiff.study.synthetic import synthesise
 
     recipe = recipe_of(seed, height, cobb, curve, force, ratios, spine, spine_id, acquisition)
-    recipe = replace(recipe, nodes=nodes, biplanar=biplanar, markers=markers or 0)
+    recipe = replace(recipe, age=age, sex=sex, nodes=nodes, biplanar=biplanar, markers=markers or 0)
     with progress() as say:
         truth = synthesise(folder, recipe, say)
     typer.echo(f"subject: {folder}\ntruth:   {truth}")

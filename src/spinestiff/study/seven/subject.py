@@ -131,7 +131,7 @@ def bearable_force(participant: Participant) -> float:
     EquilibriumError : even a small push does.
     """
     recipe = participant.recipe()
-    template = template_torso(participant.height_cm, "coarse")
+    template = template_torso(participant.height_cm, "coarse", age_years=participant.age, sex=participant.sex)
     curve = curved_spine(template, participant.cobb_deg, participant.curve, participant.secondary)
     torso = place_vertebrae(template, *curve)
     side = recipe.side

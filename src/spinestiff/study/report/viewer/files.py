@@ -9,7 +9,7 @@ from spinestiff.files import write_text
 from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.viewer.page import view_page
 from spinestiff.study.report.viewer.scene import Scene, visit_scene
-from spinestiff.study.starting_torso import subject_template
+from spinestiff.study.subject_body import subject_template
 from spinestiff.study.visit import Visit
 from spinestiff.words import pasted
 
