@@ -11,11 +11,11 @@ import pytest
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, parameter_group
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, FitError
-from spinestiff.estimation import fit as fitting
 from spinestiff.estimation import mode, profiles
+from spinestiff.estimation.ended import likelihood_rise
 from spinestiff.estimation.evaluation import TrialSet
-from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
-from spinestiff.estimation.fitted import FitEnd
+from spinestiff.estimation.fit import fit_stiffness
+from spinestiff.estimation.fitted import METHODS, FitEnd
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
@@ -38,7 +38,7 @@ def whole(column, noisy):
     return fit_stiffness(column.problem, noisy, bounds=BOUNDS)
 
 
-@pytest.mark.parametrize("method", fitting.METHODS)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("truth", [{"lateral_bending": 0.3, "tissue": 0.4}, {"lateral_bending": 1.7, "tissue": 0.6}])
 def test_eq_8_ratios_are_recovered_without_noise(column, method, truth, known_exactly) -> None:
     trials = column.trials(truth)
@@ -186,7 +186,7 @@ def test_a_problem_a_trial_is_asked_for_its_own_frames(column, clean, known_exac
     assert fit.ratios.values == pytest.approx(list(column.truth.values()), rel=1e-3)
 
 
-@pytest.mark.parametrize("method", fitting.METHODS)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_ratio_outside_the_bounds_ends_at_the_bound_and_says_so(column, clean, method) -> None:
     fit = fit_stiffness(column.problem, clean, method=method, bounds=(0.35, 5.0), extent="intervals")
     assert fit.status is FitStatus.AT_BOUND
@@ -239,7 +239,7 @@ def test_ratios_that_the_radiographs_cannot_tell_are_named_so(column, clean, kno
 
 def test_failing_equilibria_shorten_steps_and_never_raise(column, brittle) -> None:
     data = column.trials({"lateral_bending": 0.2, "tissue": 0.2})
-    for method in fitting.METHODS:
+    for method in METHODS:
         fit = fit_stiffness(brittle(0.37), data, method=method, bounds=BOUNDS)
         assert fit.ratios.as_dict()["lateral_bending"] >= 0.37
         assert any(np.isnan(step.loss) and not step.accepted for step in fit.history)
@@ -286,7 +286,7 @@ def test_a_nearer_start_lies_inside_the_bounds(column, clean, monkeypatch) -> No
     assert fit.ratios.values == pytest.approx([0.3, 0.4], rel=0.1)
 
 
-@pytest.mark.parametrize("method", fitting.METHODS)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_fit_goes_on_from_a_bound(column, clean, method, known_exactly) -> None:
     """Back from its log a bound may lie outside itself, by rounding."""
     ended = 0.2, float(np.exp(np.log(3.0)))
@@ -301,7 +301,7 @@ def test_a_fit_goes_on_from_a_bound(column, clean, method, known_exactly) -> Non
 
 
 def test_no_equilibrium_at_the_start_is_one_clear_error(column, clean, brittle) -> None:
-    for method in fitting.METHODS:
+    for method in METHODS:
         with pytest.raises(FitError, match="no equilibrium at the start of the fit, push 1 100 N"):
             fit_stiffness(brittle(2.0), clean, method=method, bounds=BOUNDS)
     stiff = column.trials({"lateral_bending": 2.5, "tissue": 2.0})
@@ -375,7 +375,7 @@ def test_a_start_may_be_solved_from_states_that_are_known(column, noisy, whole, 
     assert np.isnan(instead.history[0].rmse_mm) and not instead.history[0].accepted
 
 
-@pytest.mark.parametrize("method", fitting.METHODS)
+@pytest.mark.parametrize("method", METHODS)
 def test_the_iteration_limit_is_reported(column, clean, method) -> None:
     fit = fit_stiffness(column.problem, clean, method=method, bounds=BOUNDS, max_iterations=1)
     assert fit.status is FitStatus.ITERATION_LIMIT

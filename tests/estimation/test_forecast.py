@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spinestiff.estimation.fit import forecast_unseen
+from spinestiff.estimation.ended import forecast_unseen
 from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.forecast import forecast
 from spinestiff.imaging.features import VertebraCorners

@@ -9,7 +9,8 @@ import pytest
 
 from spinestiff.anatomy.regions import parameter_groups, torso_ratios
 from spinestiff.errors import FitError
-from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
+from spinestiff.estimation.ended import likelihood_rise
+from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.estimation.noise import restricted_factor

@@ -7,30 +7,26 @@ The weighed fit (``weighed``) is the default. The paper's own, equal weights and
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, FitError, NoMinimum
+from spinestiff.estimation.asked import Extent, check_asked, check_known, first_logs, one_a_trial, weighed_problem
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
-from spinestiff.estimation.fitted import METHODS, FitEnd, Method, StiffnessFit, Weighed
-from spinestiff.estimation.forecast import Forecast, forecast
+from spinestiff.estimation.fitted import Method, StiffnessFit, Weighed
 from spinestiff.estimation.linear import MOST_PROFILED, linear_ratios
 from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, likeliest, search
-from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at, telling_places
-from spinestiff.estimation.ratio_priors import ratio_prior
+from spinestiff.estimation.profiles import Likely, likely_ratios, telling_places
 from spinestiff.estimation.search import lbfgsb
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.told import (
@@ -40,20 +36,14 @@ from spinestiff.estimation.told import (
     trial_warnings,
     unsettled_warnings,
 )
-from spinestiff.estimation.weighed import AT_LIMIT, WeighedFit, WeighedProblem, Weights
+from spinestiff.estimation.weighed import AT_LIMIT, WeighedFit, WeighedProblem
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.words import counted
 
 # An interval that covers more of the bounds (in log) than this says that the data can't tell.
 WIDEST_INTERVAL = 0.9
-# Share by which the corners' error may differ where an estimate is solved again: digits of a stored one.
-SAME_RMSE = 0.01
-# Share by which a ratio from its log may lie beyond a bound.
-ROUNDING = 1e-12
 # Shares of the log ratios to start from, tried in this order.
 NEARER_STARTS = (1.0, 0.75, 0.5, 0.25)
-Extent = Literal["estimate", "shape", "intervals", "everything"]
 
 
 def fit_stiffness(
@@ -114,17 +104,19 @@ def fit_stiffness(
     TrackingError : a trial's corners fit no vertebra.
     """
     began = time.perf_counter()
-    problems = _problems(problem, trials)
-    _check(trials, names, method, bounds, extent)
-    _check_known(problems, trials, geometry, starts)
+    problems = one_a_trial(problem, trials)
+    check_asked(trials, names, method, bounds, extent)
+    check_known(problems, trials, geometry, starts)
     groups = parameter_groups(problems[0].torso, names)
     names = tuple(group.name for group in groups)
     if population is not None and method != "weighed":
         raise FitError(f"population '{population}' with method '{method}', which knows no priors; wanted weighed")
     limits = (float(np.log(bounds[0])), float(np.log(bounds[1])))
-    asked = _asked(problems, trials, groups, orientation, observer, priors, geometry, taped, population, limits)
+    asked = weighed_problem(
+        problems, trials, groups, orientation, observer, priors, geometry, taped, population, limits
+    )
     trial_set = asked.trial_set
-    first = _start(names, start, bounds)
+    first = first_logs(names, start, bounds)
     default = None if starts is not None and method == "weighed" else _default_point(trial_set)
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
@@ -221,110 +213,6 @@ def _status(end: _End, edge: np.ndarray, limits: tuple[float, float]) -> FitStat
     return FitStatus.AT_BOUND if edge.any() else FitStatus.CONVERGED
 
 
-def likelihood_rise(
-    problems: Sequence[EquilibriumProblem],
-    trials: Sequence[Trial],
-    estimate: FitEnd,
-    others: Mapping[str, float],
-    orientation: Orientation = "procrustes",
-    priors: Priors | None = None,
-    geometry: Floats | None = None,
-    taped: bool = False,
-    population: str | None = None,
-    rmse_mm: float | None = None,
-    starts: Sequence[TorsoState] | None = None,
-) -> float:
-    """By how much twice the negative log likelihood is higher at other ratios than at an estimate, weighed as it was.
-
-    Parameters
-    ----------
-    estimate : where a weighed fit of these trials ended.
-    others : by the estimate's names.
-    rmse_mm : of that fit. A soft spine may have two equilibria under one push; the fit's error tells whether its own
-        were found again. starts : the fit's states of the loaded trials to solve from; default rest.
-
-    Raises
-    ------
-    EquilibriumError : there is no equilibrium at one of the two, or the estimate's are others than the fit's.
-    """
-    groups = parameter_groups(problems[0].torso, tuple(estimate.ratios))
-    asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped, population)
-    point = _at_end(asked, estimate, starts)
-    if rmse_mm is not None and abs(point.evaluation.rmse - rmse_mm) > SAME_RMSE * rmse_mm:
-        raise EquilibriumError(
-            f"the estimate's equilibria are not found again: corners off by {point.evaluation.rmse:.3g} mm, "
-            f"in the fit by {rmse_mm:.3g} mm"
-        )
-    found = WeighedFit(point, asked.slope(point), _weights_of(asked, point, estimate), FitStatus.CONVERGED, ())
-    return rise_at(asked, found, np.log([others[name] for name in estimate.ratios]))
-
-
-def forecast_unseen(
-    problems: Sequence[EquilibriumProblem],
-    trials: Sequence[Trial],
-    unseen: Sequence[int],
-    estimate: FitEnd,
-    orientation: Orientation = "procrustes",
-    priors: Priors | None = None,
-    geometry: Floats | None = None,
-    taped: bool = False,
-    population: str | None = None,
-    starts: Sequence[TorsoState] | None = None,
-) -> tuple[Forecast, ...]:
-    """What the ``unseen`` of these trials should show, from a weighed fit of the others.
-
-    Parameters
-    ----------
-    unseen : their numbers among the trials; all are under load.
-    estimate : where the fit ended.
-    starts : states of the loaded trials to solve from.
-
-    Raises
-    ------
-    EquilibriumError : there is no equilibrium at the estimate.
-    """
-    groups = parameter_groups(problems[0].torso, tuple(estimate.ratios))
-    asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped, population)
-    loaded = [i for i, trial in enumerate(trials) if trial.load.size > 0.0]
-    point = _at_end(asked, estimate, starts)
-    numbers, inflation = [loaded.index(i) for i in unseen], asked.inflation(estimate.outlying)
-    return forecast(asked, point, asked.slope(point), estimate.tracking_factor, numbers, inflation)
-
-
-def _at_end(asked: WeighedProblem, estimate: FitEnd, starts: Sequence[TorsoState] | None) -> WeighedPoint:
-    """The trials where a fit ended."""
-    nuisances = np.array([estimate.nuisances.get(name, 0.0) for name in asked.unknowns.names])
-    return asked.solve(np.log(list(estimate.ratios.values())), nuisances, starts=starts)
-
-
-def _weights_of(asked: WeighedProblem, point: WeighedPoint, estimate: FitEnd) -> Weights:
-    """The weights that a fit ended with."""
-    inflation = asked.inflation(estimate.outlying)
-    covariance = asked.covariance(point, estimate.tracking_factor, inflation)
-    return Weights(lower_root(covariance), estimate.tracking_factor, inflation)
-
-
-def _asked(
-    problems: Sequence[EquilibriumProblem],
-    trials: Sequence[Trial],
-    groups: tuple[ParameterGroup, ...],
-    orientation: Orientation,
-    observer: OnFitStep | None,
-    priors: Priors | None,
-    geometry: Floats | None,
-    taped: bool,
-    population: str | None,
-    limits: tuple[float, float] = (-np.inf, np.inf),
-) -> WeighedProblem:
-    both = list(zip(problems, trials))
-    loaded = [(p, trial) for p, trial in both if trial.load.size > 0.0]
-    still = [(p, trial) for p, trial in both if trial.load.size == 0.0]
-    trial_set = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], groups, orientation, observer)
-    priors = priors or Priors()
-    held = ratio_prior(groups, problems[0].torso.joints.kinds, priors.level_smoothness, population)
-    return WeighedProblem(trial_set, still, orientation, priors, geometry, taped, held, limits)
-
-
 def _start_point(
     asked: WeighedProblem,
     first: Floats,
@@ -390,66 +278,6 @@ def _ends(
     low, high = np.exp(likely.low), np.exp(likely.high)
     intervals = {name: (float(a), float(b)) for name, a, b in zip(names, low, high)}
     return intervals, {name: (bool(a), bool(b)) for name, a, b in zip(names, likely.open_low, likely.open_high)}
-
-
-def _problems(
-    problem: EquilibriumProblem | Sequence[EquilibriumProblem], trials: Sequence[Trial]
-) -> tuple[EquilibriumProblem, ...]:
-    if not len(trials):
-        raise FitError("no trials to fit: mark at least one frame as training")
-    if not isinstance(problem, Sequence):
-        return (problem,) * len(trials)
-    if len(problem) != len(trials):
-        raise FitError(f"{len(problem)} problems for {len(trials)} trials; wanted one, or one a trial")
-    if any(other.torso.joints.kinds != problem[0].torso.joints.kinds for other in problem):
-        raise FitError("the problems' torsos differ in their joints")
-    return tuple(problem)
-
-
-def _check(
-    trials: Sequence[Trial], names: Sequence[str], method: str, bounds: tuple[float, float], extent: str
-) -> None:
-    if method not in METHODS:
-        raise FitError(f"unknown fit method '{method}'; wanted one of {', '.join(METHODS)}")
-    if extent not in get_args(Extent):
-        raise FitError(f"unknown extent '{extent}' of a fit; wanted one of {', '.join(get_args(Extent))}")
-    if not names or len(set(names)) != len(names):
-        raise FitError(f"parameters to fit: {', '.join(names) or 'none'}; wanted at least one, each once")
-    if not 0.0 < bounds[0] < bounds[1] < np.inf:
-        raise FitError(f"bounds {bounds[0]}..{bounds[1]} of the ratios; wanted 0 < lower < upper")
-    if not any(trial.load.size > 0.0 for trial in trials):
-        raise FitError("no trial has a force, so that nothing says how stiff the torso is")
-    labels = Counter(trial.label for trial in trials if trial.label)
-    if (label := next((label for label, times in labels.items() if times > 1), None)) is not None:
-        raise FitError(f"{labels[label]} trials have the label '{label}'; wanted one of its own for each")
-
-
-def _check_known(
-    problems: Sequence[EquilibriumProblem],
-    trials: Sequence[Trial],
-    geometry: Floats | None,
-    starts: Sequence[TorsoState] | None,
-) -> None:
-    size = 6 * len(problems[0].torso.vertebrae)
-    if geometry is not None and (np.shape(geometry) != (size, size) or not np.isfinite(geometry).all()):
-        raise FitError(f"geometry: wanted a covariance of {size} by {size} finite numbers, six a vertebra")
-    loaded = sum(trial.load.size > 0.0 for trial in trials)
-    if starts is not None and len(starts) != loaded:
-        raise FitError(f"{counted(len(starts), 'state')} to start from, wanted one a loaded trial, {loaded}")
-
-
-def _start(names: Sequence[str], start: Mapping[str, float] | None, bounds: tuple[float, float]) -> Floats:
-    usual = float(np.clip(1.0, *bounds))
-    values = np.array([(start or {}).get(name, usual) for name in names])
-    for name in start or {}:
-        if name not in names:
-            raise FitError(f"start names '{name}', which is not fitted; fitted are {', '.join(names)}")
-    low, high = bounds[0] * (1.0 - ROUNDING), bounds[1] * (1.0 + ROUNDING)
-    if not ((values >= low) & (values <= high)).all():
-        raise FitError(
-            f"start {', '.join(f'{value:.4g}' for value in values)} lies outside the bounds {bounds[0]}..{bounds[1]}"
-        )
-    return np.clip(np.log(values), *np.log(bounds))
 
 
 def _default_point(trial_set: TrialSet) -> Evaluation | None:

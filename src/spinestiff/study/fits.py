@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.errors import NoMinimum
+from spinestiff.estimation.asked import Extent
+from spinestiff.estimation.ended import likelihood_rise
 from spinestiff.estimation.evaluation import OnFitStep
-from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
+from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.estimation.fitted import FitEnd, Method, StiffnessFit
 from spinestiff.estimation.mode import CLOSE_SD, ROUGHLY_SD
 from spinestiff.observer import Observer
@@ -50,7 +52,7 @@ def rise_of(
     rmse_mm: float | None = None,
     starts: Sequence[TorsoState] | None = None,
 ) -> float:
-    """By how much less likely other ratios are than an estimate (``estimation.fit.likelihood_rise``)."""
+    """By how much less likely other ratios are than an estimate (``estimation.ended.likelihood_rise``)."""
     return likelihood_rise(
         [pushes.problems[t.push] for t in pushes.fitted],
         [t.trial for t in pushes.fitted],

@@ -9,7 +9,7 @@ import numpy as np
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import CobbChange, SpineTilts, cobb_change, tilts
-from spinestiff.estimation.fit import forecast_unseen
+from spinestiff.estimation.ended import forecast_unseen
 from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.imaging.features import picture_axes, target_features
