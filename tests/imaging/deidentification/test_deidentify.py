@@ -34,7 +34,7 @@ from spinestiff.imaging.deidentification.allow_list import KEPT
 from spinestiff.imaging.deidentification.burned_in import inspection_row, sheet
 from spinestiff.imaging.deidentification.codestreams import without_comments
 from spinestiff.imaging.deidentification.deidentify import deidentify
-from spinestiff.imaging.deidentification.pseudonyms import Key, moment
+from spinestiff.imaging.deidentification.pseudonyms import Key, key_of, moment
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.radiograph import write_radiographs
 
@@ -394,6 +394,33 @@ def test_keys_are_secret():
     assert "0123456789" not in repr(KEY)
     with pytest.raises(RadiographError, match="a key of 3 bytes"):
         Key(b"abc")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b'{"schema_version": 1, "id": "anna"}',
+        b"frame,force_n\n0,0\n1,20\n",
+        b"<?xml version='1.0'?>",
+        bytes(128) + b"DICM",
+    ],
+    ids=["json", "csv", "xml", "dicom"],
+)
+def test_data_are_no_key(tmp_path, content):
+    path = tmp_path / "file"
+    path.write_bytes(content)
+    with pytest.raises(RadiographError, match="key file: holds data or text, not a key"):
+        key_of(path)
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    "content", [bytes(range(200, 232)), b"0123456789abcdef0123456789abcdef\r\n", "ein langer Schlüssel\n".encode()]
+)
+def test_random_bytes_and_a_line_of_text_are_keys(tmp_path, content):
+    path = tmp_path / "file"
+    path.write_bytes(content)
+    assert key_of(path) == (Key(content.strip()), False)
 
 
 def test_text_shows_in_the_picture_whatever_its_grey():

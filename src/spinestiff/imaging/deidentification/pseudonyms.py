@@ -68,7 +68,8 @@ def key_of(path: Path) -> tuple[Key, bool]:
 
     Raises
     ------
-    RadiographError : a file that can't be read or written, or is too short or too long for a key.
+    RadiographError : a file that can't be read or written, is too short or too long for a key, or holds something else:
+        text of several lines, JSON or XML, a DICOM file.
     """
     try:
         if not os.path.lexists(path):
@@ -77,9 +78,21 @@ def key_of(path: Path) -> tuple[Key, bool]:
             return Key(text.encode()), True
         if regular_file(path, RadiographError, name="key file").st_size > MOST_KEY_BYTES:
             raise RadiographError(f"key file: over {MOST_KEY_BYTES} bytes; is it the right file?")
-        return Key(path.read_bytes().strip()), False
+        content = path.read_bytes().strip()
+        if _no_secret(content):
+            raise RadiographError("key file: holds data or text, not a key (one line, or random bytes); name another")
+        return Key(content), False
     except OSError as problem:
         raise RadiographError(f"key file: can't be read ({trouble(problem)})") from None
+
+
+def _no_secret(content: bytes) -> bool:
+    """Whether a file's content is something that others may have, too: text of several lines, JSON or XML, DICOM."""
+    try:
+        text = content.decode()
+    except UnicodeDecodeError:
+        return content[128:132] == b"DICM"
+    return len(text.splitlines()) > 1 or text[:1] in tuple("{[<") or text[128:132] == "DICM"
 
 
 def moment(date: str, time: str) -> datetime.datetime | None:
