@@ -232,6 +232,9 @@ def test_where_nothing_pays_no_radiograph_is_asked_for(plan) -> None:
     assert any("no further radiograph pays" in line for line in plan_lines(narrow))
     assert any("116 ± 25 N" in line for line in plan_lines(narrow))
     assert not any("best next" in line for line in plan_lines(narrow))
+    after = narrow.model_copy(update={"now": {"lateral_bending": 1.8}, "taped": 1.5})
+    assert "with a tape around the trunk and no further push: within a factor of 1.5" in " ".join(plan_lines(after))
+    assert not any("tape" in line for line in plan_lines(after.model_copy(update={"now": {}, "now_deg": None})))
     sheet = protocol_page(narrow, "anna")
     assert "No further radiograph pays" in sheet
     assert "<table>" not in sheet

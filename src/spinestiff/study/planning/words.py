@@ -88,9 +88,13 @@ def plan_lines(plan: Plan) -> list[str]:
         "(adults, n = 16)",
         *(f"note: {note}" for note in plan.notes),
     ]
+    tape = []
+    if plan.taped is not None:
+        with_what = "with the best push" if now is None else "and no further push"
+        tape = [f"with a tape around the trunk {with_what}: {width(plan, plan.taped)}"]
     worth = pays(plan)
     if not worth:
-        return [*found, NONE_PAYS, *always]
+        return [*found, NONE_PAYS, *(tape if now is not None else ()), *always]
     best, last = plan.sequence[0].push, worth[-1]
     found.append(f"best next: {taken_words(best)}, expected {width(plan, size_of(best))}")
     other = other_view(plan, best)
@@ -104,7 +108,4 @@ def plan_lines(plan: Plan) -> list[str]:
         found.append(f"further radiographs hardly narrow it after {until}")
     else:
         found.append(f"every step pays up to {until}")
-    if plan.taped is not None:
-        with_what = "with the best push" if now is None else "and no further push"
-        found.append(f"with a tape around the trunk {with_what}: {width(plan, plan.taped)}")
-    return [*found, *always]
+    return [*found, *tape, *always]
