@@ -169,6 +169,32 @@ def test_a_kind_alone_is_told_against_the_usual_one_and_not_against_all_others()
     assert [one.factor for one in found.alone] == pytest.approx([one.factor for one in found.together])
 
 
+def test_the_only_one_of_a_kind_is_not_counted_with_the_usual_one():
+    """Kinds that two or more have are told as they would be without that person, who is twenty times as stiff."""
+    kinds = ["main thoracic"] * 6 + ["none"] * 5
+    members = people(len(kinds) + 1, age=13.0, height_cm=160.0, sex="female", cobb_deg=20.0)
+    for number, (member, kind) in enumerate(zip(members, [*kinds, "thoracolumbar/lumbar"])):
+        stiffness = member.row.stiffness["tissue"]
+        value = stiffness.value * (20.0 if kind == "thoracolumbar/lumbar" else 1.0)
+        changes = {"curve": kind, "stiffness": {"tissue": stiffness.model_copy(update={"value": value})}}
+        members[number] = Member(member.participant, "done", "", member.row.model_copy(update=changes))
+    (found,), (without,) = cohort_statistics(members), cohort_statistics(members[:-1])
+    assert [one.name for one in found.alone] == ["curve: none against main thoracic"]
+    assert found.alone[0].factor == pytest.approx(without.alone[0].factor, rel=1e-6)
+    assert found.alone[0].high == pytest.approx(without.alone[0].high, rel=1e-6)
+
+
+def test_more_kinds_than_people_allow_are_not_told():
+    kinds = ["main thoracic", "main thoracic", "none", "none", "thoracolumbar/lumbar", "double"]
+    members = people(len(kinds), age=13.0, height_cm=160.0, sex="female", cobb_deg=20.0)
+    members = [
+        Member(one.participant, "done", "", one.row.model_copy(update={"curve": kind}))
+        for one, kind in zip(members, kinds)
+    ]
+    assert len(cohort_statistics(members)[0].alone) == 1
+    assert cohort_statistics(members[:1] + members[2:])[0].alone == ()
+
+
 def test_patients_needed_fall_with_the_difference_and_rise_with_the_spread():
     (found,) = cohort_statistics(people(30))
     assert [one.factor for one in found.needed] == [1.25, 1.5, 2.0]

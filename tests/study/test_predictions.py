@@ -21,6 +21,7 @@ from spinestiff.estimation.unknowns import ACTS
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.places import SupportPlace
+from spinestiff.mechanics.push import Rig
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study import predictions
 from spinestiff.study.predictions import (
@@ -78,11 +79,11 @@ def rest(torso):
     return VertebraCorners(torso.vertebrae, seen).selected(torso.vertebrae[2:16])
 
 
-def make_set(torso, frames, forces, roles=ROLES):
+def make_set(torso, frames, forces, roles=ROLES, rig=None):
     push = PushRecord(
         id="main", side="right", level=8.0, d21_mm=400.0, d31_mm=200.0, frames="m.dcm", forces_n=forces, roles=roles
     )
-    return push_set(torso, [push], {"main": tracked_push(frontal_view(), forces, frames)})
+    return push_set(torso, [push], {"main": tracked_push(frontal_view(), forces, frames)}, rig=rig or Rig())
 
 
 def noting(pushes, *fails):
@@ -301,9 +302,29 @@ def test_fitted_supports_stand_beside_and_change_no_prediction(torso, rest, monk
         patch.setattr(predictions, "FITTED_ROUNDS", 1)
         (unsettled,) = with_fitted_supports(alone, Model(SOFT, {"force of main": 0.0})).of_role("validation")
         assert "fitted_supports" not in unsettled.solved
-    level = replace(pushes, known=replace(pushes.known, priors=Priors(obliquity_deg=0.0, frame_obliquity_deg=0.0)))
-    (without,) = with_fitted_supports(replace(alone, pushes=level), Model(SOFT)).of_role("validation")
+    known = dict.fromkeys(("obliquity_deg", "frame_obliquity_deg", "shoulder_mm", "frame_shoulder_mm"), 0.0)
+    held = replace(pushes, known=replace(pushes.known, priors=Priors(**known)))
+    (without,) = with_fitted_supports(replace(alone, pushes=held), Model(SOFT)).of_role("validation")
     assert "fitted_supports" not in without.solved
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pelvis", ["level", "hinge"])
+def test_a_shoulder_alone_is_fitted_where_the_pelvis_is_no_unknown(torso, rest, pelvis):
+    """A held-out frame whose shoulder gave way by 4 mm."""
+    forces, roles = (0.0, 20.0, 30.0), ("unused", "training", "validation")
+    rig = Rig(pelvis)
+    pushes = make_set(torso, [rest] * 3, forces, roles, rig=rig)
+    (item,) = pushes.of_role("validation")
+    problem = pushes.problems["main"].with_place(SupportPlace(0.0, 4.0))
+    state = problem.solve(item.trial.load, SOFT).require().state
+    shares = silhouette_shares(torso, frontal_view(), torso.rest_pose)
+    seen = VertebraCorners(torso.vertebrae, state_features(torso, frontal_view(), state, shares).corners)
+    pushes = make_set(torso, [rest, rest, seen.selected(rest.vertebrae)], forces, roles, rig=rig)
+    pushes = replace(pushes, known=replace(pushes.known, priors=Priors(obliquity_deg=0.0, frame_obliquity_deg=0.0)))
+    model = Model(SOFT, {"force of main": 0.0})
+    (found,) = with_fitted_supports(predict(pushes, {"fit": model}, {}, quiet), model).of_role("validation")
+    assert found.rmse(torso, "fitted_supports") < 0.3 * found.rmse(torso, "fit")
 
 
 # Stored

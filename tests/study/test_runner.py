@@ -218,6 +218,10 @@ def set_force(content):
     content["pushes"][0]["forces_n"][1] += 1.0
 
 
+def set_id(content):
+    content["id"] = "another"
+
+
 def set_age(content):
     content["age"] += 1.0
 
@@ -243,11 +247,12 @@ def move_corner(image):
         ("subject.json", set_population, AFTER["estimate"]),
         ("subject.json", set_force, ["response", *AFTER["estimate"]]),
         ("subject.json", set_age, AFTER["personalise"]),
+        ("subject.json", set_id, ["report"]),
         ("subject.json", set_distance, ["track", "response", *AFTER["personalise"]]),
         ("annotation.json", move_corner("rest/frontal"), ["response", *AFTER["personalise"]]),
         ("annotation.json", move_corner("push/second"), ["track", "response", *AFTER["estimate"]]),
     ],
-    ids=["height", "role", "priors", "parameters", "population", "force", "age", "geometry", "rest", "push"],
+    ids=["height", "role", "priors", "parameters", "population", "force", "age", "id", "geometry", "rest", "push"],
 )
 def test_a_change_redoes_what_uses_it_and_what_follows(subject, dry, name, change, redone):
     edited(subject, name, lambda content: content.setdefault("xray", {}) if name == "subject.json" else None)

@@ -46,6 +46,12 @@ class Covariate:
     values: tuple[float, ...]
     kind: str | None = None
 
+    @property
+    def told(self) -> bool:
+        """Whether its effect is told: one person alone is no kind. That person's column says that the person is none of
+        the usual kind either."""
+        return self.kind is None or sum(self.values) > 1.0
+
 
 @dataclass(frozen=True)
 class Effect:
@@ -200,11 +206,11 @@ def covariates(rows: Sequence[Row]) -> tuple[Covariate, ...]:
     kinds: Mapping[str, list[str]] = {"sex": [row.sex for row in rows], "curve": [row.curve for row in rows]}
     for key, given in kinds.items():
         usual = most_frequent(given)
-        for kind in sorted(set(given) - {usual}):
-            # One person alone is no kind: the coefficient would be that person's own.
-            if given.count(kind) > 1:
-                name = f"{key}: {kind} against {usual}"
-                found.append(Covariate(name, key, tuple(float(one == kind) for one in given), kind))
+        own = [
+            Covariate(f"{key}: {kind} against {usual}", key, tuple(float(one == kind) for one in given), kind)
+            for kind in sorted(set(given) - {usual})
+        ]
+        found += own if any(one.told for one in own) else []
     return tuple(found)
 
 
@@ -234,9 +240,13 @@ def _of_stiffness(
     for column in columns:
         # Kinds of one covariate together: each is told against the usual kind, not against all other people.
         own = [one for one in columns if one.key == column.key]
-        alone.append(_effect(column.name, hierarchy(y, sds, design_of(own, len(y))), 1 + own.index(column)))
+        try:
+            beside = hierarchy(y, sds, design_of(own, len(y)))
+        except FitError:  # too few people for so many kinds
+            continue
+        alone.append((column, _effect(column.name, beside, 1 + own.index(column))))
     whole = _all_together(y, sds, columns)
-    together = [_effect(column.name, whole, 1 + i) for i, column in enumerate(columns)] if whole is not None else []
+    together = [] if whole is None else [(one, _effect(one.name, whole, 1 + i)) for i, one in enumerate(columns)]
     mean, error = people.at([1.0])
     reach = people.reach([1.0])
     return StiffnessStatistics(
@@ -252,8 +262,8 @@ def _of_stiffness(
         between_high=people.tau_high,
         person_low=None if people.tau_high is None else float(np.exp(mean - reach)),
         person_high=None if people.tau_high is None else float(np.exp(mean + reach)),
-        alone=_holm(alone),
-        together=_holm(together),
+        alone=_holm([effect for column, effect in alone if column.told]),
+        together=_holm([effect for column, effect in together if column.told]),
         shrunken=_shrunken(rows, y, sds, people if whole is None else whole),
         needed=tuple(_needed(factor, people, sds, [found for _, found in counted]) for factor in factors),
     )

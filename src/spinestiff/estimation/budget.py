@@ -54,7 +54,8 @@ class Budget:
 
 @dataclass(frozen=True)
 class PriorChange:
-    """The estimate (P,) and the linear sd of its logs (P,) with one prior's standard deviation times ``factor``."""
+    """The estimate (P,) and the sd of its logs (P,), by the likelihood's curvature there, with one prior's standard
+    deviation times ``factor``."""
 
     name: str
     factor: float

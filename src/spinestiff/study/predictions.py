@@ -26,6 +26,7 @@ from spinestiff.estimation.unknowns import ACTS, PLACING, acts_by_name, unknowns
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import state_features, vertebra_rows
 from spinestiff.mechanics.equilibrium import Equilibrium
+from spinestiff.mechanics.places import shoulder_force
 from spinestiff.mechanics.sensitivity import Linearisation
 from spinestiff.observer import Observer
 from spinestiff.parallel import in_parallel
@@ -300,17 +301,24 @@ def of_equilibria(items: Iterable[PushTrial], equilibria: Iterable[Equilibrium],
 def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
     """Held-out frames with pelvis and shoulder also where their own vertebrae show them best.
 
-    It says how much of a prediction's error the supports may be, and is no prediction. Nothing is added where supports
-    are no unknowns, and to no frame in which they do not settle.
+    It says how much of a prediction's error the supports may be, and is no prediction. A support that is no unknown
+    stays; nothing is added where neither is one, and to no frame in which they do not settle.
     """
     pushes = predictions.pushes
     frames = [f for f in predictions.of_role("validation") if "fit" in f.solved]
     acts = predicted_acts(pushes, [frame.item for frame in frames], model)
-    places = [ACTS.index(name) for name in PLACING]
     priors = pushes.known.priors
-    sds = np.array([np.deg2rad(priors.obliquity_deg), priors.shoulder_mm])
-    if not sds.all():
+    every = np.array([np.deg2rad(priors.obliquity_deg), priors.shoulder_mm])
+    unknown = np.flatnonzero(every)
+    places, sds = [ACTS.index(PLACING[i]) for i in unknown], every[unknown]
+    if not len(unknown):
         return predictions
+
+    def placed(tangent: Linearisation) -> Floats:
+        # A pelvis that is no unknown may be free to turn, and then has no derivative.
+        if not every[0]:
+            return tangent.forward(changes=[shoulder_force(tangent.system.supports)])
+        return tangent.place_derivative()[:, unknown]
 
     def fitted(which: int) -> Solved | None:
         frame, expected = frames[which], acts[which]
@@ -323,10 +331,10 @@ def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
             except EquilibriumError:
                 return None
             state, part = equilibrium.state, residuals(pushes.torso, frame.target, equilibrium.state)
-            columns = part.along(tangent.place_derivative()) * sds
+            columns = part.along(placed(tangent)) * sds
             away = (found[places] - expected[places]) / sds
             # As sure of a corner as of one set by hand.
-            rows = np.vstack([columns / priors.annotation_mm, np.eye(2)])
+            rows = np.vstack([columns / priors.annotation_mm, np.eye(len(unknown))])
             step = np.linalg.lstsq(rows, -np.concatenate([part.values / priors.annotation_mm, away]), rcond=None)[0]
             if np.abs(step).max() < FITTED_TO:
                 return Solved.of(equilibrium)

@@ -44,7 +44,7 @@ from spinestiff.words import pasted
 WITHOUT_PUSHES = {"personalise"}
 """Steps for which the rest radiographs are enough."""
 STEPS = ("track", "response", "personalise", "estimate", "assess", "report")
-PUSHES, ROLES = f"{SUBJECT_FILE}: pushes", f"{SUBJECT_FILE}: roles"
+ID, PUSHES, ROLES = (f"{SUBJECT_FILE}: {part}" for part in ("id", "pushes", "roles"))
 XRAY, FRAMES, FORCES = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry", "frames", "forces"))
 BODY, PERSON, SUPPORTS = (f"{SUBJECT_FILE}: {part}" for part in ("body", "person", "supports"))
 REST_MARKS, PUSH_MARKS = f"{ANNOTATION_FILE}: rest", f"{ANNOTATION_FILE}: pushes"
@@ -193,7 +193,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "report": Step(
         step_functions.report_step,
-        (PUSHES, ROLES, BODY, PERSON, SUPPORTS, XRAY, REST_MARKS, PUSH_MARKS),
+        (ID, PUSHES, ROLES, BODY, PERSON, SUPPORTS, XRAY, REST_MARKS, PUSH_MARKS),
         ("rest", "push"),
         ("tracked.json", "response.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
         lambda visit: ("report.html", "view.html"),
@@ -203,7 +203,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "view": Step(
         step_functions.view_step,
-        (PUSHES, ROLES, SUPPORTS),
+        (ID, PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json", "predictions.npz"),
         lambda visit: ("view.html",),

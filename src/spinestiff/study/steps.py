@@ -254,7 +254,9 @@ def assess_step(visit: Visit, say: Observer) -> None:
         models["single_ratio"] = single
     if visit.truth is not None:
         models["truth"] = Model(torso_ratios(pushes.torso, read_truth(visit.truth)), fit.known)
-    predictions = with_fitted_supports(predict(pushes, models, known, say), fit)
+    predictions = predict(pushes, models, known, say)
+    if estimate.method == "weighed":
+        predictions = with_fitted_supports(predictions, fit)
     expected: dict[tuple[str, int], Forecast] = {}
     if estimate.tracking_factor is not None:
         say("what the training frames let expect of those held out")

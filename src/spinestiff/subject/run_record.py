@@ -89,6 +89,7 @@ _ASKED = {"parameters", "population"}
 """Settings that are in ``subject.json``: a step that follows them has them among its settings."""
 
 PARTS: Mapping[str, Callable[[Subject], object]] = {
+    f"{SUBJECT_FILE}: id": lambda s: s.record.id,
     # Without pictures of their own as before there could be any, so that earlier results stay up to date.
     f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(
         mode="json", exclude=None if s.record.xray.images else {"images"}
