@@ -89,7 +89,8 @@ def test_a_level_out_of_place_among_missing_ones_is_refused():
         (lambda c: c[::-1], "T1 lies below L5: upside down, or the levels are named from below"),
         (lambda c: (2000.0 - c)[:, [2, 3, 0, 1]], "T1 lies below L5: upside down"),
         (lambda c: c[:, [0, 1, 3, 2]], "corners of 17 of 17 vertebrae are out of order"),
-        (lambda c: (c @ [[0.0, 1.0], [-1.0, 0.0]])[:, [3, 0, 1, 2]] + [2000.0, 0.0], "across the image|out of order"),
+        (lambda c: (c @ [[0.0, 1.0], [-1.0, 0.0]])[:, [3, 0, 1, 2]] + [2000.0, 0.0], "across the image"),
+        (lambda c: c[:, :, ::-1], "across the image: turn it so that the head is at the top, or exchange x and y"),
     ],
 )
 def test_an_image_that_is_wrong_as_a_whole_is_refused(spoil, words):

@@ -17,6 +17,7 @@ from spinestiff.curves.angle_csv import angles_csv
 from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, reading_of, rest_reading, seen_frames
 from spinestiff.curves.tilts import tilts
 from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
@@ -75,6 +76,15 @@ def test_the_report_s_predictions_have_the_same_change(finished):
             change = predictions.simulated_change(prediction, name)
             assert change_record(change) == records[name]
             assert change.levels == records["measured"].levels
+
+
+def test_marks_that_changed_after_tracking_are_told_and_not_mixed_with_what_was_followed(subject):
+    path = subject / "annotation.json"
+    content = read_json(path)
+    content["images"]["push/main"]["vertebrae"]["T6"][0][0] += 6.0
+    write_json(path, content)
+    with pytest.raises(SubjectError, match=r"results of track were made before annotation\.json: pushes changed"):
+        cobb_frames(read_subject(subject))
 
 
 def test_a_given_noise_is_in_angles_and_in_changes(subject):

@@ -402,7 +402,7 @@ def test_an_estimate_out_of_date_is_refused(subject) -> None:
     content = read_json(subject / "subject.json")
     content["pushes"][0]["forces_n"][1] += 1.0
     write_json(subject / "subject.json", content)
-    with pytest.raises(SubjectError, match=r"was run before .* changed; run spinestiff \w+ again"):
+    with pytest.raises(SubjectError, match=r"were made before .* changed; run spinestiff \w+ again"):
         scene_of(open_visit(subject))
 
 

@@ -434,7 +434,7 @@ def test_an_estimate_out_of_date_is_refused(subject) -> None:
     content = read_json(subject / "annotation.json")
     content["images"]["push/main"]["vertebrae"]["T7"][0][0] += 0.25
     write_json(subject / "annotation.json", content)
-    with pytest.raises(SubjectError, match=r"track was run before annotation.json: pushes changed"):
+    with pytest.raises(SubjectError, match=r"results of track were made before annotation.json: pushes changed"):
         estimate_of(open_visit(subject))
 
 

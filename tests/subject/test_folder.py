@@ -285,6 +285,18 @@ def test_a_link_out_of_the_folder_is_refused(folder):
 # Annotation
 
 IMAGE = ("images", "rest/frontal", "vertebrae")
+
+
+def test_shares_of_an_images_size_are_no_corners(folder):
+    """As in a file of corners; every step would take them for a spine of one pixel."""
+    vertebrae = ANNOTATION["images"]["rest/frontal"]["vertebrae"]
+    shares = {name: [[x / 2500.0, y / 2500.0] for x, y in quad] for name, quad in vertebrae.items()}
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "vertebrae"], shares))
+    message = refusal(folder)
+    assert "annotation.json: images.rest/frontal.vertebrae: all corners lie within 0." in message
+    assert message.endswith("shares of the image's size, wanted pixels; multiply x by its columns and y by its rows")
+
+
 FIRST, SECOND = (ANNOTATION["images"]["rest/frontal"]["vertebrae"][name] for name in ("T5", "T6"))
 
 

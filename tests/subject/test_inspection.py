@@ -202,6 +202,26 @@ def test_forces_that_may_be_in_another_unit_are_told(folder, most, odd):
     assert not any("look whether" in line for one in inspect(folder) for line in one.warnings)
 
 
+def test_a_picture_in_which_no_spine_has_room_is_told(folder):
+    """Its pitch is in cm, say."""
+    path = folder / "pushes/right-8.dcm"
+    without(path, ImagerPixelSpacing=[0.04, 0.04])
+    (one,) = [one for one in inspect(folder) if one.image == "push/right-8"]
+    assert (
+        "is 32 mm wide and 32 mm high, where no spine has room: look whether its pixel pitch is in mm" in one.warnings
+    )
+    (rest,) = [one for one in inspect(folder) if one.image == "rest/frontal"]
+    assert not any("no spine has room" in line for line in rest.warnings)
+
+
+def test_a_push_without_any_force_is_told(folder):
+    (push,) = SUBJECT["pushes"]
+    none = {"forces_n": [0] * len(push["forces_n"]), "roles": ["unused"] * len(push["forces_n"])}
+    write(folder, {**SUBJECT, "pushes": [{**push, **none}]})
+    (one,) = [one for one in inspect(folder) if one.image == "push/right-8"]
+    assert any(line.startswith("all forces are 0 N: look whether the gauge was on") for line in one.warnings)
+
+
 def test_records_without_a_scale_are_written_without(folder):
     record = SubjectRecord.model_validate_json(json.dumps(SUBJECT))
     assert "scale" not in record.model_dump(exclude_none=True)["xray"]

@@ -13,11 +13,12 @@ import pytest
 from results import altered, register
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.files import read_json, write_json
+from spinestiff.subject import run_record
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.assessment_outcome import Comparison
 from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import FrameProposals, Tracked
-from spinestiff.subject.program import program
+from spinestiff.subject.program import program, program_of_numbers
 from spinestiff.subject.records import SubjectRecord, XRayRecord
 from spinestiff.subject.run_record import (
     PARTS,
@@ -33,6 +34,7 @@ from spinestiff.subject.run_record import (
     recorded_steps,
     step_digest,
     step_record,
+    why_stale,
     write_outcome,
 )
 
@@ -241,6 +243,21 @@ def test_a_change_shows_in_its_part_alone(bare, part):
     after = with_change(bare, *CHANGES[part])
     changed = {name for name in PARTS if input_digest(after, name) != input_digest(bare, name)}
     assert changed == TOGETHER.get(part, {part})
+
+
+def test_what_another_program_made_is_told_as_such(bare, monkeypatch):
+    """It may have looked at other parts of the same files."""
+    body = "subject.json: body"
+    changed = with_change(bare, *CHANGES[body])
+    for made_by, words in (
+        ("0.0.9+old", f"made by spinestiff 0.0.9+old, this is {program()}"),
+        (None, "made before subject.json: body changed"),
+        (program_of_numbers(), "made before subject.json: body changed"),
+    ):
+        record = step_record(bare, [body], {}, made_by)
+        monkeypatch.setattr(run_record, "recorded_steps", lambda subject, record=record: {"personalise": record})
+        assert why_stale(bare, "personalise") == ""
+        assert why_stale(changed, "personalise") == words
 
 
 # Results

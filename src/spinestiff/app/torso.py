@@ -263,12 +263,12 @@ def _torso(file: Path | None, **template: Any) -> Any:
 def _personalised(folder: Path) -> Path:
     """The torso file of a subject folder; refused where what it was made from has changed since."""
     from spinestiff.subject.folder import read_subject
-    from spinestiff.subject.run_record import changed_inputs, result_path
+    from spinestiff.subject.run_record import result_path, why_stale
 
     subject = read_subject(folder)
     path = result_path(subject, "torso.npz", "personalise")
-    if changed := changed_inputs(subject, "personalise"):
-        raise TorsoError(f"{path}: was made before {changed[0]} changed; run spinestiff personalise again")
+    if why := why_stale(subject, "personalise"):
+        raise TorsoError(f"{path}: was {why}; run spinestiff personalise again")
     return path
 
 

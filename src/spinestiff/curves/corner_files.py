@@ -24,7 +24,7 @@ from spinestiff.curves import corner_csv, corner_markups
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_exported_text, read_text, write_json, write_text
 from spinestiff.formats import parse_json, plain_number
-from spinestiff.subject.annotation_record import FURTHER_VIEW, Annotation
+from spinestiff.subject.annotation_record import FURTHER_VIEW, Annotation, shares_of_size
 from spinestiff.subject.record_reading import complaint_of
 from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION
 from spinestiff.words import printable
@@ -36,8 +36,6 @@ LARGEST_CSV = 50 * 2**20
 MOST_IMAGES = 20_000
 FARTHEST = 100_000.0
 """Pixels (or mm) from the first pixel. No detector is that large; a larger number is another quantity."""
-LARGEST_SHARE = 2.0
-"""Numbers that are no larger are shares of the picture's width and height: no spine lies in so few pixels or mm."""
 LONGEST_NAME = 200
 # Our annotation's corners -> as seen, by (superior is up in the image, the first corner is on its left).
 _AS_SEEN = {
@@ -309,12 +307,8 @@ def _gathered(
             found.append(UnreadableImage(image, reasons[image]))
             continue
         corners = np.array([[levels[level][corner] for corner in CORNERS] for level in levels])
-        if unit != "mm" and np.abs(corners).max() <= LARGEST_SHARE:
-            reason = (
-                f"all corners lie within {np.abs(corners).max():g} of the first pixel: shares of the image's size, "
-                "wanted pixels; multiply x by its columns and y by its rows"
-            )
-            found.append(UnreadableImage(image, reason))
+        if unit != "mm" and (shares := shares_of_size(corners)):
+            found.append(UnreadableImage(image, shares))
             continue
         found.append(ImageCorners(image, tuple(levels), corners, f"{path.name} ({kind})", unit, first_on))
     return tuple(found)

@@ -107,6 +107,12 @@ def _refuse_turned(levels: tuple[str, ...], corners: Floats) -> None:
     upwards = (corners[:, 2] + corners[:, 3] - corners[:, 0] - corners[:, 1])[:, 1] < 0.0
     rises = np.diff(middles[:, 1]) < 0.0
     most = 0.5 * len(levels)
+    along = middles[-1] - middles[0]
+    if abs(along[0]) > abs(along[1]):
+        raise SubjectError(
+            "the spine lies across the image: turn it so that the head is at the top, or exchange x and y if they are "
+            "rows and columns"
+        )
     if rises.sum() > 0.5 * len(rises) and upwards.sum() > most:
         raise SubjectError("y grows upwards; wanted image rows, which grow downwards")
     if rises.sum() > 0.5 * len(rises):
@@ -118,9 +124,6 @@ def _refuse_turned(levels: tuple[str, ...], corners: Floats) -> None:
             "left and right corners are exchanged in most vertebrae: the image is mirrored, or the corners are named "
             "by the patient's sides; name them as seen in the image"
         )
-    along = middles[-1] - middles[0]
-    if abs(along[0]) > abs(along[1]):
-        raise SubjectError("the spine lies across the image; turn it so that the head is at the top")
 
 
 def _stacked(levels: tuple[str, ...], corners: Floats) -> tuple[Floats, tuple[str, ...]]:

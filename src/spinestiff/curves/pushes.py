@@ -18,7 +18,7 @@ from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.subject.folder import Subject, image_corners, read_rest
 from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
 from spinestiff.subject.records import PushRecord
-from spinestiff.subject.run_record import read_outcome
+from spinestiff.subject.run_record import read_outcome, refuse_changed
 
 FORMS = ("signed", "fixed_levels", "tilt")
 """Of a change of the Cobb angle, in the order of ``CobbChange.sds``."""
@@ -63,11 +63,13 @@ def cobb_frames(
 
     Raises
     ------
-    SubjectError : as ``rest_reading``, ``read_outcome`` and ``frame_forces``.
+    SubjectError : as ``rest_reading``, ``read_outcome`` and ``frame_forces``; marks or radiographs of the pushes have
+        changed since they were tracked.
     """
     frames = [CobbFrame(rest_reading(subject, definition, noise_px))]
     if not (subject.results / Tracked.FILE).exists():
         return frames
+    refuse_changed(subject, "track")
     for push, found in read_outcome(subject, Tracked).pushes.items():
         forces, view = frame_forces(subject.push(push), found), found.view.view()
         noise = _noise_mm(noise_px, view, view.magnification)

@@ -27,7 +27,6 @@ from spinestiff.subject.program import program, program_of_numbers
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.subject.run_record import (
     StepRecord,
-    changed_inputs,
     changed_outputs,
     changed_program,
     differences,
@@ -38,6 +37,7 @@ from spinestiff.subject.run_record import (
     result_path,
     step_digest,
     step_record,
+    why_stale,
 )
 from spinestiff.words import pasted
 
@@ -309,8 +309,5 @@ def _refuse_stale(visit: Visit, result: str) -> None:
     """Raise SubjectError unless a result of an earlier step is there, as written, and made from what is there now."""
     step = MADE_BY[result]
     path = result_path(visit.subject, result, step)
-    changed = changed_inputs(visit.subject, step)
-    if changed:
-        raise SubjectError(
-            f"{path}: was made before {changed[0]} changed; run spinestiff {step} again, or spinestiff run"
-        )
+    if why := why_stale(visit.subject, step):
+        raise SubjectError(f"{path}: was {why}; run spinestiff {step} again, or spinestiff run")

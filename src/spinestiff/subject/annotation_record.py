@@ -15,6 +15,8 @@ from spinestiff.subject.record_reading import Record, shown_key
 from spinestiff.subject.records import Pair, Point, VertebraName
 from spinestiff.words import counted
 
+LARGEST_SHARE = 2.0
+"""Numbers that are no larger are shares of the picture's width and height: no spine lies in so few pixels."""
 FEWEST_VERTEBRAE = 8
 MOST_TURNED_DEG = 45.0
 """Of a vertebra between two frames of a push: half of what corners begun at the wrong one make of it."""
@@ -49,6 +51,8 @@ class ImageAnnotation(Record):
     def _is_a_spine(cls, vertebrae: dict[VertebraName, Quad]) -> dict[VertebraName, Quad]:
         ordered = dict(sorted(vertebrae.items(), key=lambda item: VERTEBRAE.index(item[0])))
         if ordered:
+            if shares := shares_of_size(np.array(list(ordered.values()))):
+                raise ValueError(shares)
             _check_quads(tuple(ordered), np.array(list(ordered.values())))
         return ordered
 
@@ -102,6 +106,16 @@ class Annotation(Record):
             if further is not None and further["push"] in images:
                 _check_turned(name, image, images[further["push"]])
         return images
+
+
+def shares_of_size(pixels: Floats) -> str:
+    """Why corners can't be pixels but are shares of the picture's size; "" where they can."""
+    if np.abs(pixels).max() > LARGEST_SHARE:
+        return ""
+    return (
+        f"all corners lie within {np.abs(pixels).max():g} of the first pixel: shares of the image's size, "
+        "wanted pixels; multiply x by its columns and y by its rows"
+    )
 
 
 def _check_quads(names: tuple[str, ...], quads: Floats) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -184,7 +184,7 @@ def read_unannotated(folder: str | Path) -> Subject:
         )
     record, gaps = read_open_record(folder / SUBJECT_FILE)
     bare = Annotation(schema_version=SCHEMA_VERSION, images={})
-    return Subject(folder, record, bare, tuple(_unusual(record)), gaps)
+    return Subject(folder, record, bare, tuple(_unusual(record, gaps)), gaps)
 
 
 def check_radiograph_path(subject: Subject, image: str) -> None:
@@ -500,21 +500,23 @@ def _check_input(subject: Subject, path: Path, what: str) -> None:
         raise SubjectError(f"{path}: lies where results are written ({results}); move it elsewhere in the folder")
 
 
-def odd_forces(push: PushRecord) -> str:
-    """What is odd about a push's forces, which may be in another unit; "" if nothing. 0 stands for those that are not
-    known yet.
+def odd_forces(push: PushRecord, unknown: Collection[int] = ()) -> str:
+    """What is odd about a push's forces, which may be in another unit; "" if nothing. ``unknown``: frames whose forces
+    are not known yet.
     """
     most = max(push.forces_n)
     low, high = USUAL_FORCES_N
+    if most == 0.0 and not unknown:
+        return "all forces are 0 N: look whether the gauge was on, and which column of its log has the force"
     if most == 0.0 or low <= most <= high:
         return ""
     return f"forces up to {most:g} N, where pushes on the ribs have {low:g} to {high:g} N: look whether they are in N"
 
 
-def _unusual(record: SubjectRecord) -> Iterator[str]:
-    for push in record.pushes:
+def _unusual(record: SubjectRecord, gaps: Sequence[Gap]) -> Iterator[str]:
+    for number, push in enumerate(record.pushes):
         most = max(push.forces_n)
-        if odd := odd_forces(push):
+        if odd := odd_forces(push, open_frames(gaps, number)):
             yield f"push '{push.id}': {odd}"
         elif most > USUAL_LIMIT_N:
             yield f"push '{push.id}' reaches {most:g} N; above {USUAL_LIMIT_N:g} N nobody was measured so far"

@@ -29,6 +29,8 @@ from spinestiff.subject.records import (
     SUBJECT_FILE,
 )
 
+SPINE_MM = 100.0
+"""At the detector; eight vertebrae of a child of 120 cm are longer."""
 MOST_FOLDERS = 256
 """In a folder that is inspected, itself among them."""
 MOST_DEPTH = 8
@@ -129,7 +131,7 @@ def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -
         scans, odd = read_scans(path, given, within)
     except RadiographError as problem:
         return Inspection(name, str(problem)), None
-    told = (*filter(None, [odd]), *_looks_otherwise(scans[0]))
+    told = (*filter(None, [odd]), *_looks_otherwise(scans[0]), *_too_small(scans[0]))
     return Inspection(name, "", _seen(scans), scans[0].missing, told), scans[0]
 
 
@@ -139,6 +141,16 @@ def _looks_otherwise(scan: Scan) -> Iterator[str]:
     looks = None if stated is None else shown_view(scan.pixels[0])
     if looks is not None and looks.view != stated:
         yield f"stated as {stated}, but it {looks.words}; check that it is the {stated} radiograph"
+
+
+def _too_small(scan: Scan) -> Iterator[str]:
+    """A picture in which no spine has room: a pixel pitch in another unit."""
+    if scan.spacing is None:
+        return
+    high, wide = scan.spacing.row * scan.layout.rows, scan.spacing.column * scan.layout.columns
+    if max(high, wide) < SPINE_MM:
+        size = f"{wide:.0f} mm wide and {high:.0f} mm high"
+        yield f"is {size}, where no spine has room: look whether its pixel pitch is in mm"
 
 
 def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
@@ -197,7 +209,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
             # In the others corners are followed from there.
             least = push.least_of(view, open_frames(gaps, number))
             needed[name] = None if least is None else push.view_image(least, view.id)
-    odd = {push.image: odd_forces(push) for push in record.pushes}
+    odd = {push.image: odd_forces(push, open_frames(gaps, number)) for number, push in enumerate(record.pushes)}
     found: list[Inspection] = []
     if annotation is not None:
         found += _unknown_images(Subject(folder, record, annotation))

@@ -19,7 +19,7 @@ from spinestiff.files import file_digest, read_text, trouble, write_json
 from spinestiff.formats import json_text, parse_json
 from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
-from spinestiff.subject.program import program
+from spinestiff.subject.program import program, program_of_numbers
 from spinestiff.subject.record_reading import complaint_of
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.words import pasted
@@ -218,6 +218,19 @@ def changed_inputs(subject: Subject, step: str) -> tuple[str, ...]:
     return () if recorded is None else _changed(subject, recorded.inputs)
 
 
+def why_stale(subject: Subject, step: str) -> str:
+    """Why the results of a recorded step are not of what is there now, e.g. "made before annotation.json: rest
+    changed"; "" if they are."""
+    changed = changed_inputs(subject, step)
+    if not changed:
+        return ""
+    # Another program may look at other parts of the same files.
+    before = recorded_steps(subject)[step].program
+    if before not in (now := (program(), program_of_numbers())):
+        return f"made by spinestiff {before}, this is {now[0]}"
+    return f"made before {changed[0]} changed"
+
+
 def changed_lately(subject: Subject, step: str) -> tuple[str, ...]:
     """Like ``changed_inputs``, but a file that is older than the step is taken to be as it was, and not read; what
     can't be read has changed."""
@@ -252,11 +265,9 @@ def _younger(path: Path, since_ns: int) -> bool:
 def refuse_changed(subject: Subject, *steps: str) -> None:
     """Raise SubjectError if an input of one of these steps has changed since it ran."""
     for step in steps:
-        changed = changed_inputs(subject, step)
-        if changed:
+        if why := why_stale(subject, step):
             raise SubjectError(
-                f"{subject.results}: {step} was run before {changed[0]} changed; run spinestiff {step} again, or "
-                "spinestiff run"
+                f"{subject.results}: results of {step} were {why}; run spinestiff {step} again, or spinestiff run"
             )
 
 

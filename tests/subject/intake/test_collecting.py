@@ -12,6 +12,14 @@ from spinestiff.errors import OptionError, RadiographError, SubjectError
 from spinestiff.subject.intake.collecting import MOST_DEPTH, by_name, chosen_studies, collect, studies
 
 
+def test_an_umlaut_is_the_same_however_a_system_writes_it(exported):
+    """As one character, or as a Mac has it in names of files: a letter and two dots."""
+    found = [exported("Scho\u0308n/I1"), exported("I2")]
+    assert by_name("Schön/I1", found, "row 2") == (found[0],)
+    assert by_name("Schön", [exported("Schön/I1"), exported("Schön/I2")], "row 2")[0].name == "Schön/I1"
+    assert by_name("Scho\u0308n/I1", [exported("Schön/I1")], "row 2")[0].name == "Schön/I1"
+
+
 def test_a_disc_is_read_to_its_depth_and_each_other_file_has_its_reason(tmp_path):
     found, refused = collect([disc(tmp_path / "disc")])
     assert [one.name.removeprefix("DICOM/PA000001/ST000001/") for one in found] == [

@@ -207,6 +207,14 @@ def test_a_gauge_that_counts_pushes_below_zero_is_read_and_said(log):
     assert found.notes == ("forces below 0: the gauge counts a push so; taken as magnitudes",)
 
 
+def test_a_gauge_whose_zero_is_off_is_told(log):
+    found = read(log("time s,force N\n0,-1\n1,29\n2,59\n"))
+    assert found.forces_n.tolist() == [0.0, 29.0, 59.0]
+    (note,) = found.notes
+    assert note.startswith("forces of the other sign, up to 1.0 N, count as none, and the others as they stand")
+    assert read(log("time s,force N\n0,-0.4\n1,29\n2,59\n")).notes == ()
+
+
 def test_between_entries_the_force_is_on_a_line_and_what_is_in_the_air_is_none(log):
     found = read(log("time s,force N\n0,0.3\n1,0.4\n2,20.4\n"))
     np.testing.assert_allclose(found.at(np.array([-1.0, 0.0, 1.0, 1.5, 9.0])), [0.0, 0.0, 0.0, 10.4, 20.4])

@@ -64,16 +64,26 @@ def test_single_files_are_one_push_where_they_have_all_in_common(table, exported
     assert [len(push.files) for push in pushes_of(path, read_push_table(path), found)] == [2, 1]
 
 
+def test_single_files_that_leave_all_open_are_one_push(table, exported):
+    found = [exported("I1"), exported("I2")]
+    (push,) = pushes_of("t", read_push_table(table("I1,,0,,,,", "I2,,30,,,,")), found)
+    assert len(push.files) == 2 and push.shared == {}
+
+
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
+        (["s/I1,,0,left,5,,", "s/I2,,30,,,,"], "row 3: s/I2 may be of the push of row 2 or of another, since cells"),
+        (["s/I1,,0,left,,,", "s/I2,,30,left,5,,"], "row 2: s/I1 may be of the push of row 3 or of another"),
+        (["I7,0,0,left,5,400,66", "I7,,60,,,,"], "row 3: frame: found nothing, but I7 has 3 frames; wanted which"),
+        (["s,,60,left,5,,"], "row 2: frame: found nothing, but s has 2 frames"),
         (["I7,0,-1,left,5,400,66"], "row 2: force_n: found '-1', wanted 0 to 500 N, or nothing"),
         (["I7,0,nan,left,5,400,66"], "row 2: force_n: found 'nan', wanted 0 to 500 N"),
         (["I7,0,0,left,5,400,66", "I7,1,0,up,5,400,66"], "row 3: side: found 'up', wanted left, right, or nothing"),
         (["I7,0,0,left,13,400,66"], "row 2: level: found '13', wanted 1 to 12 ribs"),
         (["I7,x,0,left,5,400,66"], "row 2: frame: found 'x', wanted a whole number, the first frame being 0"),
         (["I7,3,0,left,5,400,66"], "row 2: frame 3, but I7 has 3 frames, from 0 on"),
-        (["I9,0,0,left,5,400,66"], "row 2: no radiograph 'I9' in the sources; there are I7, s/I1, s/I2"),
+        (["I9,0,0,left,5,400,66"], "row 2: no radiograph 'I9' in the sources; there are I7, s/I1, s/I2, I8"),
         ([",0,0,left,5,400,66"], "row 2: file: found nothing"),
         (["I7,0,0,,,,", "I7,1,5,,,,", "I7,1,6,,,,"], "row 4: I7, frame 1 is in row 3 already; keep one"),
         (["I7,0,0,left,5,400,66", "I7,1,5,right,5,400,66"], "side: found left (row 2) and right (row 3) for frames"),
@@ -83,8 +93,13 @@ def test_single_files_are_one_push_where_they_have_all_in_common(table, exported
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said_with_its_row(table, exported, rows, words):
-    found = [exported("I7", frames=3), exported("s/I1"), exported("s/I2")]
+    found = [exported("I7", frames=3), exported("s/I1"), exported("s/I2"), exported("I8")]
     refused(table(*rows), found, words)
+
+
+def test_a_name_that_no_push_may_have_is_said_with_its_row(table, exported):
+    path = table("I7,0,0,left,5,400,66,,a", "I7,1,5,left,5,400,66,,große Kurve", header=HEADER + ",role,push")
+    refused(path, [exported("I7", frames=3)], "row 3: push: found 'große Kurve', wanted 1 to 64 letters")
 
 
 def test_rows_of_a_file_of_several_frames_stand_alone(table, exported):

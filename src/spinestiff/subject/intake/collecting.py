@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -241,9 +242,9 @@ def by_name(
     ------
     SubjectError : none, or several that the text does not tell apart.
     """
-    wanted = PurePosixPath(text.replace("\\", "/")).parts
-    files = [one for one in found if PurePosixPath(one.name).parts[-len(wanted) :] == wanted]
-    exact = [one for one in files if PurePosixPath(one.name).parts == wanted]
+    wanted, _ = _names(text.replace("\\", "/"))
+    files = [one for one in found if _names(one.name)[0][-len(wanted) :] == wanted]
+    exact = [one for one in files if _names(one.name)[0] == wanted]
     if len(files) == 1 or len(exact) == 1:
         return tuple(exact or files)
     if files:
@@ -252,7 +253,7 @@ def by_name(
         )
     folders: dict[tuple[str, ...], list[Exported]] = {}
     for one in found:
-        folder = PurePosixPath(one.name).parts[:-1]
+        _, folder = _names(one.name)
         if wanted and folder[-len(wanted) :] == wanted:
             folders.setdefault(folder, []).append(one)
     if len(folders) == 1:
@@ -275,8 +276,8 @@ def by_name(
 
 
 def _names(name: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Parts of the paths of a file and of its folder."""
-    parts = PurePosixPath(name).parts
+    """Parts of the paths of a file and of its folder, an umlaut being one character: a Mac's paths have two."""
+    parts = PurePosixPath(unicodedata.normalize("NFC", name)).parts
     return parts, parts[:-1]
 
 

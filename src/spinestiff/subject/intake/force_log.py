@@ -317,6 +317,13 @@ def _magnitudes(path: Path, times: Floats, forces: Floats, notes: list[str]) -> 
         raise SubjectError(
             f"{path}: forces from {low:.1f} to {high:.1f} N, wanted one sign: a push, and no pull; set the gauge's zero"
         )
+    other = min(high, -low)
+    if other > NOTHING_N:
+        notes = [
+            *notes,
+            f"forces of the other sign, up to {other:.1f} N, count as none, and the others as they stand: look whether "
+            "the gauge shows 0 without a load",
+        ]
     if -low > high:
         forces, high = -forces, -low
         notes = [*notes, "forces below 0: the gauge counts a push so; taken as magnitudes"]

@@ -99,17 +99,11 @@ def name_pushes(data: dict[str, Any], sorting: Sorting, taken: Iterable[str] = (
     Parameters
     ----------
     taken : further names that none may have, as of files that are there.
-
-    Raises
-    ------
-    SubjectError : a name of the user that can be no id.
     """
     before = len(data["pushes"]) - len(sorting.pushes)
     names = {name.casefold() for name in (*taken, *(record["id"] for record in data["pushes"][:before]))}
     for number, (push, record) in enumerate(zip(sorting.pushes, data["pushes"][before:]), before + 1):
         name = push.name
-        if name is not None and not re.fullmatch(IDENTIFIER, name):
-            raise SubjectError(f"the table of pushes: push: found {name[:64]!r}, wanted {WANTED_ID}")
         if name is None and record["side"] is not None and record["level"] is not None:
             name = f"{record['side']}-{record['level']:g}"
         first = name or f"push-{number}"

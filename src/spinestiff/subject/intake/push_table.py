@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from spinestiff.files import read_exported_text
 from spinestiff.formats import parse_csv, plain_number, plain_word
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.intake.collecting import Refused, Study, by_name
+from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, LEVELS, Role
 from spinestiff.words import counted, printable
 
@@ -35,7 +37,7 @@ class TableRow:
 
     line: int
     file: str
-    frame: int
+    frame: int | None
     force_n: float | None
     side: str | None
     level: float | None
@@ -63,6 +65,9 @@ class TablePush:
     name: str | None
 
 
+_Groups = dict[tuple[Any, ...], list[tuple[TableRow, tuple[Exported, ...]]]]
+
+
 def read_push_table(path: Path) -> tuple[TableRow, ...]:
     """The rows of a table of pushes. Raises SubjectError as ``parse_push_table``."""
     return parse_push_table(read_exported_text(path, LARGEST_BYTES), str(path))
@@ -85,15 +90,17 @@ def parse_push_table(text: str, name: str) -> tuple[TableRow, ...]:
         force, level, d21, d31 = (_number(cells[key], key, where) for key in _RANGES)
         side, role = (_word(cells[key], key, where) for key in _WORDS)
         frame, push = _frame(cells["frame"], where), cells["push"] or None
+        if push is not None and not re.fullmatch(IDENTIFIER, push):
+            raise SubjectError(f"{where}: push: found {_shown(push)}, wanted {WANTED_ID}")
         rows.append(TableRow(line, cells["file"], frame, force, side, level, d21, d31, role, push))
     if not rows:
         raise SubjectError(f"{name}: no rows; wanted one for each frame of a push")
     return tuple(rows)
 
 
-def _frame(text: str, where: str) -> int:
+def _frame(text: str, where: str) -> int | None:
     if not text:
-        return 0
+        return None
     if not (text.isascii() and text.isdigit() and len(text) <= 4):
         raise SubjectError(f"{where}: frame: found {_shown(text)}, wanted a whole number, the first frame being 0")
     return int(text)
@@ -136,14 +143,20 @@ def pushes_of(
 
     Raises
     ------
-    SubjectError : a file or frame that is not there, a row twice, rows of one push that contradict each other.
+    SubjectError : a file or frame that is not there, a row twice, rows of one push that contradict each other, or that
+        may be of one push or of two.
     """
-    groups: dict[tuple[Any, ...], list[tuple[TableRow, tuple[Exported, ...]]]] = {}
+    groups: _Groups = {}
     for row in rows:
         where = f"{path}: row {row.line}"
         files = by_name(row.file, found, where, others, refused)
         frames = files[0].frames if len(files) == 1 else len(files)
-        if row.frame >= frames:
+        if row.frame is None and frames > 1 and (row.force_n is not None or row.role is not None):
+            raise SubjectError(
+                f"{where}: frame: found nothing, but {row.file} has {counted(frames, 'frame')}; wanted which of them "
+                "the row is of, the first being 0"
+            )
+        if row.frame is not None and row.frame >= frames:
             raise SubjectError(f"{where}: frame {row.frame}, but {row.file} has {counted(frames, 'frame')}, from 0 on")
         if len(files) > 1 and any(one.frames > 1 for one in files):
             raise SubjectError(f"{where}: the folder {row.file} holds files of several frames; name them one by one")
@@ -154,6 +167,7 @@ def pushes_of(
         else:
             key = ("alike", *(getattr(row, shared) for shared in SHARED))
         groups.setdefault(key, []).append((row, files))
+    _refuse_open(path, groups)
     pushes = tuple(_push(path, group) for group in groups.values())
     owners: dict[str, int] = {}
     for number, push in enumerate(pushes):
@@ -162,6 +176,20 @@ def pushes_of(
                 line = next(iter(push.rows.values())).line
                 raise SubjectError(f"{path}: row {line}: {one.name} is part of another push already; wanted it in one")
     return pushes
+
+
+def _refuse_open(path: Path | str, groups: _Groups) -> None:
+    """Refuse rows of single frames that leave open what other such rows tell: of that push, or of another?"""
+    alike = [key for key in groups if key[0] == "alike"]
+    for key in alike:
+        for other in alike:
+            if key != other and all(mine in (None, its) for mine, its in zip(key, other)):
+                row, like = groups[key][0][0], groups[other][0][0]
+                raise SubjectError(
+                    f"{path}: row {row.line}: {row.file} may be of the push of row {like.line} or of another, since "
+                    f"cells are empty; tell {', '.join(SHARED)} alike in each row of a push of single files, or its "
+                    "name in the column push"
+                )
 
 
 def _push(path: Path | str, group: list[tuple[TableRow, tuple[Exported, ...]]]) -> TablePush:
@@ -175,9 +203,9 @@ def _push(path: Path | str, group: list[tuple[TableRow, tuple[Exported, ...]]]) 
                 "one file of several frames or files of one frame each"
             )
         # A folder's frames count in order of time, which ``sorting`` knows; until then they go by the folder's name.
-        key = (several[0].name if len(several) == 1 else "", row.frame)
+        key = (several[0].name if len(several) == 1 else "", row.frame or 0)
         if key in rows:
-            raise SubjectError(f"{where}: {row.file}, frame {row.frame} is in row {rows[key].line} already; keep one")
+            raise SubjectError(f"{where}: {row.file}, frame {key[1]} is in row {rows[key].line} already; keep one")
         rows[key] = row
     if len({name for name, _ in rows if not name}) and len({name for name, _ in rows}) > 1:
         raise SubjectError(f"{path}: row {group[0][0].line}: names a folder beside single files in it; keep either")
