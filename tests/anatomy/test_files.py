@@ -153,7 +153,10 @@ def _with_bytes(path, central, local, value):
 
 def test_another_file_is_no_torso_and_nobody_is_told_to_run_code_in_it(path):
     path.write_text("no torso", encoding="utf-8")
-    with pytest.raises(TorsoError, match=r"torso\.npz is no torso file, or it is damaged; name a file of write_torso$"):
+    with pytest.raises(
+        TorsoError,
+        match=r"or it is damaged; name a torso\.npz, as spinestiff personalise and torso import write it$",
+    ):
         read_torso(path)
 
 

@@ -138,6 +138,14 @@ def test_a_file_that_is_no_table_of_corners_is_refused(table, content, words):
     assert re.search(words, str(error.value)) and "\n" not in str(error.value)
 
 
+def test_the_record_of_a_subject_has_no_corners(tmp_path):
+    (tmp_path / "subject.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(
+        SubjectError, match=r"subject\.json: has the person and the pushes, but no corners; name its folder"
+    ):
+        read_corner_file(tmp_path / "subject.json")
+
+
 def test_levels_and_corners_may_be_written_in_other_letters(table):
     lines = [line.replace("T5", "t5").replace("top_left", "Top_Left") for line in rows(("T5", "T6"))]
     (found,) = read_corners(table(text(*lines)))

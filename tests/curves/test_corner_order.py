@@ -173,6 +173,13 @@ def test_a_vertebra_out_of_place_changes_no_sound_one(at, aside):
     )
 
 
+@pytest.mark.parametrize(("factor", "warned"), [(1.0, False), (1.8, False), (2.2, True)])
+def test_a_picture_that_was_squashed_is_warned_of(factor, warned):
+    """Its vertebrae are 1.2 times as wide as they are apart."""
+    found = in_order(changed(SPINE.corners * [factor, 1.0]))
+    assert any("times as wide as they are apart" in line for line in found.warnings) == warned
+
+
 def test_a_vertebra_somewhat_out_of_place_is_warned_of():
     corners = SPINE.corners.copy()
     corners[3] += [60.0, 0.0]

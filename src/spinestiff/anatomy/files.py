@@ -19,6 +19,7 @@ from spinestiff.files import regular_file, write_bytes
 
 SCHEMA = "spinestiff-torso"
 SCHEMA_VERSION = 1
+MAKERS = "spinestiff personalise and torso import"
 _JOINT_FIELDS = ("parent", "child", "parent_position", "parent_axes", "child_position", "child_axes", "stiffness")
 _TISSUE_FIELDS = ("rest_positions", "elements", "bone_of_node", "lame_mu", "lame_lambda")
 _STATE_FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
@@ -78,14 +79,16 @@ def read_torso(path: str | Path) -> TorsoModel:
         # Opened here: np.load leaves a damaged file open.
         with open(path, "rb") as stream:
             if stream.read(2) != b"PK":  # NumPy's words of other files advise to have code in them run
-                raise TorsoError(f"{path} is no torso file, or it is damaged; name a file of write_torso")
+                raise TorsoError(f"{path} is no torso file, or it is damaged; name a torso.npz, as {MAKERS} write it")
             stream.seek(0)
             with np.load(stream, allow_pickle=False) as stored:
                 if "header" not in stored.files:
-                    raise TorsoError(f"{path} is no torso file; write one with write_torso")
+                    raise TorsoError(f"{path} is no torso file; name a torso.npz, as {MAKERS} write it")
                 arrays = {key: stored[key] for key in stored.files}
     except OSError as error:
-        raise TorsoError(f"{path}: {(error.strerror or 'unreadable').lower()}; name a file of write_torso") from None
+        raise TorsoError(
+            f"{path}: {(error.strerror or 'unreadable').lower()}; name a torso.npz, as {MAKERS} write it"
+        ) from None
     except _UNREADABLE as error:
         raise TorsoError(f"{path} is no torso file, or it is damaged ({_one_line(error)})") from None
     header = _header(path, arrays)

@@ -26,7 +26,7 @@ from spinestiff.files import read_exported_text, read_text, write_json, write_te
 from spinestiff.formats import parse_json, plain_number
 from spinestiff.subject.annotation_record import FURTHER_VIEW, Annotation, shares_of_size
 from spinestiff.subject.record_reading import complaint_of
-from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION
+from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION, SUBJECT_FILE
 from spinestiff.words import printable
 
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
@@ -172,6 +172,8 @@ def read_corner_file(path: str | Path) -> CornerFile:
         return CornerFile(path, "CSV", _read_csv(path))
     if path.suffix.lower() != ".json":
         raise SubjectError(f"{path}: wanted a .csv, a {MARKUPS_SUFFIX} or an {ANNOTATION_FILE}")
+    if path.name == SUBJECT_FILE:
+        raise SubjectError(f"{path}: has the person and the pushes, but no corners; name its folder, {path.parent}")
     text = read_text(path)
     content = parse_json(text, str(path))
     if isinstance(content, dict) and "markups" in content:

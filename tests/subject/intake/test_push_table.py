@@ -78,6 +78,7 @@ def test_single_files_that_leave_all_open_are_one_push(table, exported):
         (["I7,0,0,left,5,400,66", "I7,,60,,,,"], "row 3: frame: found nothing, but I7 has 3 frames; wanted which"),
         (["s,,60,left,5,,"], "row 2: frame: found nothing, but s has 2 frames"),
         (["I7,0,-1,left,5,400,66"], "row 2: force_n: found '-1', wanted 0 to 500 N, or nothing"),
+        (['I7,0,0,left,5,"400,5",66'], "row 2: d21_mm: found '400,5', wanted 30 to 1000 mm, with a decimal point"),
         (["I7,0,nan,left,5,400,66"], "row 2: force_n: found 'nan', wanted 0 to 500 N"),
         (["I7,0,0,left,5,400,66", "I7,1,0,up,5,400,66"], "row 3: side: found 'up', wanted left, right, or nothing"),
         (["I7,0,0,left,13,400,66"], "row 2: level: found '13', wanted 1 to 12 ribs"),

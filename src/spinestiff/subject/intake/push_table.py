@@ -112,7 +112,10 @@ def _number(text: str, key: str, where: str) -> float | None:
     low, high, unit = _RANGES[key]
     value = plain_number(text)
     if not low <= value <= high:
-        raise SubjectError(f"{where}: {key}: found {_shown(text)}, wanted {low:g} to {high:g} {unit}, or nothing")
+        comma = ", with a decimal point" if re.fullmatch(r"\d+,\d+", text) else ""
+        raise SubjectError(
+            f"{where}: {key}: found {_shown(text)}, wanted {low:g} to {high:g} {unit}{comma}, or nothing"
+        )
     return value
 
 
