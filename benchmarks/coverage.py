@@ -13,11 +13,11 @@ that a body of both is meshed once. Logs are kept in benchmarks/results/coverage
 them. ``--summary`` prints how often the truth lies inside, by ratio and jointly, for closed and for open intervals, by
 tercile of the true ratio, by curve and by kind of body, with the standard errors of so many subjects
 (``counted_intervals.py``). ``--store`` keeps the figures of the kept logs, or a scenario's of others, in
-benchmarks/results/coverage.json, ``--json`` prints that file, ``--markdown`` prints it as the first words and table of
-the pages and the tables of docs/coverage.md (``--figures`` another such file: earlier estimators' lie beside their rows
-and are the tables of docs/coverage-earlier.md), ``--pairs`` prints by how much the estimates of the same people differ
-between two logs, and ``--rerun`` repeats the seeds of the kept logs, each made as its row says. All of it is
-synthetic.
+benchmarks/results/coverage.json, ``--json`` prints that file, ``--markdown`` prints it as the first words of the pages,
+the table of docs/limits.md and the tables of docs/coverage.md (``--figures`` another such file: earlier estimators' lie
+beside their rows and are the tables of docs/coverage-earlier.md), ``--pairs`` prints by how much the estimates of the
+same people differ between two logs, and ``--rerun`` repeats the seeds of the kept logs, each made as its row says. All
+of it is synthetic.
 Needs the extra ``[mesh]``: every truth has a tissue mesh of its own.
 
 Settings were chosen while the scenarios called "settings" were looked at; the seeds of the others are run once and

@@ -65,7 +65,7 @@ def true_push(stated: PushRecord, recipe: Mapping[str, Any]) -> PushRecord:
 
 def true_torso(recipe: Mapping[str, Any]):  # type: ignore[no-untyped-def]
     """The torso that the radiographs were made from."""
-    told = ("seed", "height_cm", "cobb_deg", "curve", "secondary", "spine", "mesh", "nodes")
+    told = ("seed", "age", "sex", "height_cm", "cobb_deg", "curve", "secondary", "spine", "mesh", "nodes")
     return subject_torso(Recipe(**{name: recipe[name] for name in told}))
 
 

@@ -184,15 +184,19 @@ def test_the_only_one_of_a_kind_is_not_counted_with_the_usual_one():
     assert found.alone[0].high == pytest.approx(without.alone[0].high, rel=1e-6)
 
 
-def test_more_kinds_than_people_allow_are_not_told():
-    kinds = ["main thoracic", "main thoracic", "none", "none", "thoracolumbar/lumbar", "double"]
+def test_the_only_one_of_a_kind_is_drawn_towards_the_others_and_takes_no_place_among_covariates():
+    kinds = ["main thoracic"] * 6 + ["none"] * 5 + ["thoracolumbar/lumbar"]
     members = people(len(kinds), age=13.0, height_cm=160.0, sex="female", cobb_deg=20.0)
-    members = [
-        Member(one.participant, "done", "", one.row.model_copy(update={"curve": kind}))
-        for one, kind in zip(members, kinds)
-    ]
-    assert len(cohort_statistics(members)[0].alone) == 1
-    assert cohort_statistics(members[:1] + members[2:])[0].alone == ()
+    for number, (member, kind) in enumerate(zip(members, kinds)):
+        stiffness = member.row.stiffness["tissue"].model_copy(update={"sd_log": 1.0 if number == 11 else 0.1})
+        changes = {"curve": kind, "stiffness": {"tissue": stiffness}}
+        members[number] = Member(member.participant, "done", "", member.row.model_copy(update=changes))
+    (found,) = cohort_statistics(members)
+    assert [one.name for one in found.together] == ["curve: none against main thoracic"]
+    alone = found.shrunken[-1]
+    usual = float(np.exp(np.mean([np.log(one.value) for one in found.shrunken[:6]])))
+    assert alone.weight < 0.2
+    assert abs(np.log(alone.given_all / usual)) < 0.3 * abs(np.log(alone.value / usual))
 
 
 def test_patients_needed_fall_with_the_difference_and_rise_with_the_spread():

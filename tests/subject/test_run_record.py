@@ -250,7 +250,7 @@ def test_what_another_program_made_is_told_as_such(bare, monkeypatch):
     body = "subject.json: body"
     changed = with_change(bare, *CHANGES[body])
     for made_by, words in (
-        ("0.0.9+old", f"made by spinestiff 0.0.9+old, this is {program()}"),
+        ("0.0.9+old", f"made by spinestiff 0.0.9+old; by this one, {program()}, {body} changed"),
         (None, "made before subject.json: body changed"),
         (program_of_numbers(), "made before subject.json: body changed"),
     ):

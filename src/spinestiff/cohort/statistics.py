@@ -122,7 +122,7 @@ class StiffnessStatistics:
     person_low, person_high : where 95 % of people are expected; None likewise.
     alone : of each covariate in a model of its own, with all of its kinds.
     together : in one model; empty with fewer people than that takes.
-    shrunken : by participant, by the model of ``together`` or, where there is none, of the mean alone.
+    shrunken : by participant, by the covariates of ``together`` or, where there are none, by the mean alone.
     """
 
     name: str
@@ -240,13 +240,13 @@ def _of_stiffness(
     for column in columns:
         # Kinds of one covariate together: each is told against the usual kind, not against all other people.
         own = [one for one in columns if one.key == column.key]
-        try:
-            beside = hierarchy(y, sds, design_of(own, len(y)))
-        except FitError:  # too few people for so many kinds
-            continue
-        alone.append((column, _effect(column.name, beside, 1 + own.index(column))))
+        if column.told:
+            alone.append(_effect(column.name, hierarchy(y, sds, design_of(own, len(y))), 1 + own.index(column)))
     whole = _all_together(y, sds, columns)
-    together = [] if whole is None else [(one, _effect(one.name, whole, 1 + i)) for i, one in enumerate(columns)]
+    told = [(i, column) for i, column in enumerate(columns, 1) if column.told]
+    together = [] if whole is None else [_effect(column.name, whole, i) for i, column in told]
+    # By a column of their own the only ones of a kind would be given nobody else.
+    given = people if whole is None else hierarchy(y, sds, design_of([column for _, column in told], len(y)))
     mean, error = people.at([1.0])
     reach = people.reach([1.0])
     return StiffnessStatistics(
@@ -262,15 +262,16 @@ def _of_stiffness(
         between_high=people.tau_high,
         person_low=None if people.tau_high is None else float(np.exp(mean - reach)),
         person_high=None if people.tau_high is None else float(np.exp(mean + reach)),
-        alone=_holm([effect for column, effect in alone if column.told]),
-        together=_holm([effect for column, effect in together if column.told]),
-        shrunken=_shrunken(rows, y, sds, people if whole is None else whole),
+        alone=_holm(alone),
+        together=_holm(together),
+        shrunken=_shrunken(rows, y, sds, given),
         needed=tuple(_needed(factor, people, sds, [found for _, found in counted]) for factor in factors),
     )
 
 
 def _all_together(y: Floats, sds: Floats, columns: Sequence[Covariate]) -> Hierarchy | None:
-    if not columns or len(y) < PEOPLE_A_COVARIATE * (1 + len(columns)):
+    told = sum(column.told for column in columns)
+    if not told or len(y) < PEOPLE_A_COVARIATE * (1 + told):
         return None
     try:
         return hierarchy(y, sds, design_of(columns, len(y)))

@@ -178,15 +178,15 @@ def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
             found.append(Inspection(one, str(problem)))
         else:
             scans.append(replace(scan, pixels=()))  # 128 files of pixels would fill the memory
-            found.append(Inspection(one, "", _seen((scan,)), scan.missing))
+            found.append(Inspection(one, "", _seen((scan,)), scan.missing, tuple(_too_small(scan))))
     if len(found) == 1 or len(scans) < len(found) or any(scan.layout.frames > 1 for scan in scans):
         return tuple(found)
     try:
         series, odd = in_order(folder.name, scans)
     except RadiographError as problem:
         alone = f"not one sequence: {problem}"
-        return tuple(Inspection(one.image, "", one.seen, one.missing, (alone,)) for one in found)
-    return (Inspection(name, "", _seen(series), series[0].missing, (odd,) if odd else ()),)
+        return tuple(Inspection(one.image, "", one.seen, one.missing, (alone, *one.warnings)) for one in found)
+    return (Inspection(name, "", _seen(series), series[0].missing, (*filter(None, [odd]), *_too_small(series[0]))),)
 
 
 def _subject(folder: Path) -> tuple[Inspection, ...]:

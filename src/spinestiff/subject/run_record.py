@@ -227,7 +227,7 @@ def why_stale(subject: Subject, step: str) -> str:
     # Another program may look at other parts of the same files.
     before = recorded_steps(subject)[step].program
     if before not in (now := (program(), program_of_numbers())):
-        return f"made by spinestiff {before}, this is {now[0]}"
+        return f"made by spinestiff {before}; by this one, {now[0]}, {changed[0]} changed"
     return f"made before {changed[0]} changed"
 
 

@@ -399,12 +399,13 @@ def test_keys_are_secret():
 @pytest.mark.parametrize(
     "content",
     [
-        b'{"schema_version": 1, "id": "anna"}',
+        b'\xef\xbb\xbf{"schema_version": 1, "id": "anna"}',
         b"frame,force_n\n0,0\n1,20\n",
         b"<?xml version='1.0'?>",
+        b"[" * 4000,
         bytes(128) + b"DICM",
     ],
-    ids=["json", "csv", "xml", "dicom"],
+    ids=["json", "csv", "xml", "brackets", "dicom"],
 )
 def test_data_are_no_key(tmp_path, content):
     path = tmp_path / "file"
@@ -415,7 +416,15 @@ def test_data_are_no_key(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    "content", [bytes(range(200, 232)), b"0123456789abcdef0123456789abcdef\r\n", "ein langer Schlüssel\n".encode()]
+    "content",
+    [
+        bytes(range(200, 232)),
+        b"0123456789abcdef0123456789abcdef\r\n",
+        "ein langer Schlüssel\n".encode(),
+        b"<[{x7/9!lkq-Ypq(w]",
+        b"q83vEiM0VniavN7w\nq83vEiM0VniavN7wESIz==\n",
+        b"-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2VwBCIEIA==\n-----END PRIVATE KEY-----\n",
+    ],
 )
 def test_random_bytes_and_a_line_of_text_are_keys(tmp_path, content):
     path = tmp_path / "file"

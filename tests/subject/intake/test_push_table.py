@@ -64,6 +64,30 @@ def test_single_files_are_one_push_where_they_have_all_in_common(table, exported
     assert [len(push.files) for push in pushes_of(path, read_push_table(path), found)] == [2, 1]
 
 
+def test_a_row_may_be_of_all_frames_of_a_file_or_a_folder(table, exported):
+    found = [exported("I7", frames=3), exported("s/I1"), exported("s/I2")]
+    one, two = pushes_of(
+        "t", read_push_table(table("I7,,,left,8,400,200", "I7,0,0,,,,", "I7,1,40,,,,", "s,,,right,6,,", "s,1,30,,,,")),
+        found,
+    )  # fmt: skip
+    assert (one.shared["level"], [row.force_n for row in one.rows.values()]) == (8.0, [0.0, 40.0])
+    assert (two.shared["level"], [row.force_n for row in two.rows.values()]) == (6.0, [30.0])
+    (alone,) = pushes_of("t", read_push_table(table("I7,,,left,8,400,200")), found)
+    assert (alone.shared["level"], [row.force_n for row in alone.rows.values()]) == (8.0, [None])
+
+
+def test_pushes_with_a_frame_without_force_each_stay_two(table, exported):
+    """Of the second nobody knows the distances."""
+    rows = ["I1,,0,left,8,400,200", "I2,,40,left,8,400,200", "I3,,0,left,8,,", "I4,,40,left,8,,"]
+    found = [exported(f"I{n}") for n in range(1, 5)]
+    assert [len(push.files) for push in pushes_of("t", read_push_table(table(*rows)), found)] == [2, 2]
+
+
+def test_a_row_whose_name_was_forgotten_is_told(table, exported):
+    path = table("I1,,0,left,8,400,200,,p", "I2,,40,,,,,,", header=HEADER + ",role,push")
+    refused(path, [exported("I1"), exported("I2")], "row 3: I2 may be of the push of row 2 or of another")
+
+
 def test_single_files_that_leave_all_open_are_one_push(table, exported):
     found = [exported("I1"), exported("I2")]
     (push,) = pushes_of("t", read_push_table(table("I1,,0,,,,", "I2,,30,,,,")), found)
@@ -74,7 +98,7 @@ def test_single_files_that_leave_all_open_are_one_push(table, exported):
     ("rows", "words"),
     [
         (["s/I1,,0,left,5,,", "s/I2,,30,,,,"], "row 3: s/I2 may be of the push of row 2 or of another, since cells"),
-        (["s/I1,,0,left,,,", "s/I2,,30,left,5,,"], "row 2: s/I1 may be of the push of row 3 or of another"),
+        (["s/I1,,0,left,,,", "s/I2,,30,left,5,,"], "row 3: s/I2 may be of the push of row 2 or of another"),
         (["I7,0,0,left,5,400,66", "I7,,60,,,,"], "row 3: frame: found nothing, but I7 has 3 frames; wanted which"),
         (["s,,60,left,5,,"], "row 2: frame: found nothing, but s has 2 frames"),
         (["I7,0,-1,left,5,400,66"], "row 2: force_n: found '-1', wanted 0 to 500 N, or nothing"),

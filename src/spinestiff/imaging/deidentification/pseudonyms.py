@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import hmac
+import json
 import os
 import re
 import secrets
@@ -17,6 +18,7 @@ from spinestiff.files import regular_file, trouble, write_bytes
 from spinestiff.words import counted
 
 FEWEST_KEY_BYTES, MOST_KEY_BYTES = 16, 4096
+_RANDOM_LINE = re.compile(r"[A-Za-z0-9+/=_-]+|-----[A-Z0-9 ]+-----")
 NO_DATE = datetime.date(1900, 1, 1)
 """Stands where a file tells a time but no date, so that times of a night keep their order when they are shifted."""
 _SHIFT_S = (365 * 86400, 3650 * 86400)
@@ -87,12 +89,23 @@ def key_of(path: Path) -> tuple[Key, bool]:
 
 
 def _no_secret(content: bytes) -> bool:
-    """Whether a file's content is something that others may have, too: text of several lines, JSON or XML, DICOM."""
+    """Whether a file's content is something that others may have, too: text of several lines, JSON or XML, DICOM.
+    Random bytes as text are often broken into lines: base64, hexadecimal digits and PEM are keys."""
+    if content[128:132] == b"DICM":
+        return True
     try:
-        text = content.decode()
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        return content[128:132] == b"DICM"
-    return len(text.splitlines()) > 1 or text[:1] in tuple("{[<") or text[128:132] == "DICM"
+        return False
+    lines = text.splitlines()
+    if len(lines) > 1:
+        return not all(_RANDOM_LINE.fullmatch(line) for line in lines)
+    try:
+        return isinstance(json.loads(text), (dict, list))
+    except RecursionError:  # of brackets alone
+        return True
+    except ValueError:
+        return text.startswith("<") and text.endswith(">")
 
 
 def moment(date: str, time: str) -> datetime.datetime | None:

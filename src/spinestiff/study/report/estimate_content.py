@@ -48,7 +48,7 @@ from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Check, Estimate, PlainStiffness, RatioEstimate, Reactions
 from spinestiff.subject.outcome_parts import Determination, Quantity
 from spinestiff.subject.plan_outcome import Plan
-from spinestiff.subject.run_record import changed_inputs
+from spinestiff.subject.run_record import why_stale
 from spinestiff.subject.sensitivity_outcome import Sensitivity
 
 # Secant lateral-bending stiffness of cadaver thoracic segments at 7.5 N m (Wilke et al. 2017), N m/degree.
@@ -279,9 +279,9 @@ def sensitivity_content(found: Sensitivity) -> dict[str, Any]:
 
 def stale_plan(visit: Visit) -> str:
     """Why a plan is not shown."""
-    changed = changed_inputs(visit.subject, Plan.STEP)
-    why = f"was made before {changed[0]} changed" if changed else "is not as spinestiff plan wrote it"
-    return f"{visit.subject.results.name}/{Plan.FILE} {why}; run spinestiff plan again"
+    why = why_stale(visit.subject, Plan.STEP)
+    words = f"was {why}" if why else "is not as spinestiff plan wrote it"
+    return f"{visit.subject.results.name}/{Plan.FILE} {words}; run spinestiff plan again"
 
 
 def _gain(estimate: Estimate, name: str) -> dict[str, str]:

@@ -158,9 +158,9 @@ not know:
   radiograph by 2.39 ± 0.3 mm (the paper's mean). The error itself stays unknown to the estimate; that there is one
   of that size, which the rest radiograph shows, is added to the geometry's covariance.
 
-What truth and estimator share: the template (of the subject's age, sex and height; of subjects found until
-2026-11-29 both were the girl of 13 scaled to the height), the tissue's linear law and homogeneity, the ribs' joints,
-the wall.
+What truth and estimator share: the template (of the subject's age, sex and height; subjects made until 2026-11-29 are
+the girl of 13 scaled to the height, as estimates found until then were), the tissue's linear law and homogeneity, the
+ribs' joints, the wall.
 
 Ratios: the paper's default tissue is not public. Here a ratio of 1 is the tissue at which the paper's seven bodies
 show the force per degree that was measured with the paper's set-up

@@ -182,11 +182,18 @@ def pushes_of(
 
 
 def _refuse_open(path: Path | str, groups: _Groups) -> None:
-    """Refuse rows of single frames that leave open what other such rows tell: of that push, or of another?"""
-    alike = [key for key in groups if key[0] == "alike"]
-    for key in alike:
-        for other in alike:
-            if key != other and all(mine in (None, its) for mine, its in zip(key, other)):
+    """Refuse rows of single frames, none without force, that don't contradict other such rows: of that push, or not?"""
+    single = {
+        key: tuple(next((told for row, _ in rows if (told := getattr(row, name)) is not None), None) for name in SHARED)
+        for key, rows in groups.items()
+        if all(len(files) == 1 and files[0].frames == 1 for _, files in rows)
+    }
+    for key, mine in single.items():
+        # A push with a frame without force is one by itself.
+        if key[0] != "alike" or any(row.force_n == 0.0 for row, _ in groups[key]):
+            continue
+        for other, its in single.items():
+            if key != other and all(None in pair or pair[0] == pair[1] for pair in zip(mine, its)):
                 row, like = groups[key][0][0], groups[other][0][0]
                 raise SubjectError(
                     f"{path}: row {row.line}: {row.file} may be of the push of row {like.line} or of another, since "
@@ -207,6 +214,8 @@ def _push(path: Path | str, group: list[tuple[TableRow, tuple[Exported, ...]]]) 
             )
         # A folder's frames count in order of time, which ``sorting`` knows; until then they go by the folder's name.
         key = (several[0].name if len(several) == 1 else "", row.frame or 0)
+        if row.frame is None and (len(several) > 1 or several[0].frames > 1) and len(group) > 1:
+            continue  # of all frames, none of which it tells
         if key in rows:
             raise SubjectError(f"{where}: {row.file}, frame {key[1]} is in row {rows[key].line} already; keep one")
         rows[key] = row
