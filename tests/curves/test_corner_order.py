@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from spine_images import image
+from spine_images import LABELLED, image, labelled_images
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.curves.corner_files import ImageCorners
-from spinestiff.curves.corner_order import in_order
+from spinestiff.curves.corner_order import _squashed, in_order
 from spinestiff.errors import SubjectError
 
 TILTS = [6, 10, 14, 12, 6, -2, -10, -16, -18, -14, -8, 0, 8, 14, 16, 12, 8]
@@ -178,6 +179,18 @@ def test_a_picture_that_was_squashed_is_warned_of(factor, warned):
     """Its vertebrae are 1.2 times as wide as they are apart."""
     found = in_order(changed(SPINE.corners * [factor, 1.0]))
     assert any("times as wide as they are apart" in line for line in found.warnings) == warned
+
+
+@pytest.mark.skipif(not LABELLED.is_dir(), reason="the labelled scoliosis radiographs are not here")
+def test_no_radiograph_is_taken_for_a_squashed_one():
+    """And four of five are noticed once they are made square."""
+    with (LABELLED / "images.csv").open() as file:
+        sizes = [(float(row["width_px"]), float(row["height_px"])) for row in csv.DictReader(file)]
+    seen = [one.corners for one in labelled_images()[0]]
+    squares = [corners * 512.0 / size for corners, size in zip(seen, sizes, strict=True)]
+    warned = [sum(bool(_squashed(range(17), corners)) for corners in each) for each in (seen, squares)]
+    assert warned[0] == 0
+    assert warned[1] > 0.75 * len(seen)
 
 
 def test_a_vertebra_somewhat_out_of_place_is_warned_of():

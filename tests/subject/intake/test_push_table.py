@@ -100,6 +100,7 @@ def test_single_files_that_leave_all_open_are_one_push(table, exported):
         (["s/I1,,0,left,5,,", "s/I2,,30,,,,"], "row 3: s/I2 may be of the push of row 2 or of another, since cells"),
         (["s/I1,,0,left,,,", "s/I2,,30,left,5,,"], "row 3: s/I2 may be of the push of row 2 or of another"),
         (["I7,0,0,left,5,400,66", "I7,,60,,,,"], "row 3: frame: found nothing, but I7 has 3 frames; wanted which"),
+        (["I7,,,left,5,,", "I7,,,left,5,,"], "row 3: I7, frame 0 is in row 2 already; keep one"),
         (["s,,60,left,5,,"], "row 2: frame: found nothing, but s has 2 frames"),
         (["I7,0,-1,left,5,400,66"], "row 2: force_n: found '-1', wanted 0 to 500 N, or nothing"),
         (['I7,0,0,left,5,"400,5",66'], "row 2: d21_mm: found '400,5', wanted 30 to 1000 mm, with a decimal point"),

@@ -205,6 +205,7 @@ def _refuse_open(path: Path | str, groups: _Groups) -> None:
 def _push(path: Path | str, group: list[tuple[TableRow, tuple[Exported, ...]]]) -> TablePush:
     files = {one.name: one for _, several in group for one in several}
     rows: dict[tuple[str, int], TableRow] = {}
+    tells_frames = any(row.frame is not None for row, _ in group)
     for row, several in group:
         where = f"{path}: row {row.line}"
         if len(files) > 1 and any(one.frames > 1 for one in files.values()):
@@ -214,7 +215,7 @@ def _push(path: Path | str, group: list[tuple[TableRow, tuple[Exported, ...]]]) 
             )
         # A folder's frames count in order of time, which ``sorting`` knows; until then they go by the folder's name.
         key = (several[0].name if len(several) == 1 else "", row.frame or 0)
-        if row.frame is None and (len(several) > 1 or several[0].frames > 1) and len(group) > 1:
+        if row.frame is None and (len(several) > 1 or several[0].frames > 1) and tells_frames:
             continue  # of all frames, none of which it tells
         if key in rows:
             raise SubjectError(f"{where}: {row.file}, frame {key[1]} is in row {rows[key].line} already; keep one")
