@@ -56,9 +56,10 @@ from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fitted import StiffnessFit
+from spinestiff.estimation.load_acts import changed_load, load_changes
 from spinestiff.estimation.objective import Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.unknowns import ACTS, changed_load, load_changes
+from spinestiff.estimation.unknowns import ACTS
 from spinestiff.estimation.weighed import WeighedProblem, reduced
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.pedicles import PediclePoints, pedicle_centres
@@ -66,6 +67,7 @@ from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.tracking.quality import quality_of
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
+from spinestiff.mechanics.push import raised_level
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.pose import align_view, posed
@@ -131,15 +133,17 @@ def make_subject(seed: int) -> Subject:
         wrong = random.normal(0.0, p.annotation_mm * view.magnification, corners.shape)
         rest[name] = (VertebraCorners(VERTEBRAE, corners + wrong), view)
     level = 8.0
-    site = rib_push(torso, side, level, FORCE_N)
     angle = np.deg2rad(p.direction_deg)
     sizes = (p.force_scale, p.force_offset_n, angle, angle, p.push_height_mm, p.push_depth_mm)
     acts = np.zeros(len(ACTS))
     acts[: len(sizes)] = random.normal(0.0, sizes)
+    height = ACTS.index("height")
+    site = rib_push(torso, side, raised_level(torso, side, level, acts[height])[0], FORCE_N)
+    acts[height] = 0.0
     loads = []
     for share in SHARES:
         told = site.scaled(share)
-        loads.append(changed_load(told, load_changes(told, torso.rest_pose), acts) if share else told)
+        loads.append(changed_load(told, load_changes(told, torso), acts) if share else told)
     ratios = stiffness_ratios(values, torso.joints.kinds)
     springs = support_stiffness(torso, side, [loads[-1]], ratios, drawn_supports(random))
     problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs))

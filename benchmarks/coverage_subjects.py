@@ -51,13 +51,15 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.discrepancy_data import Mesh
+from spinestiff.estimation.load_acts import changed_load, load_changes
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.unknowns import ACTS, LAMBDA_SHARE, changed_load, load_changes
+from spinestiff.estimation.unknowns import ACTS, LAMBDA_SHARE
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.places import shifted_shoulder
+from spinestiff.mechanics.push import raised_level
 from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.shape import personalise
@@ -199,14 +201,13 @@ def make_subject(
         again = np.random.default_rng([19, seed, visit])
         anew = _drawn_visit(torso, nominal, pushes, p, again, hand)
         own = replace(anew, force=own.force, levels=own.levels) if isinstance(acquisition, str) else anew
-    sites = {push: rib_push(torso, sides[push], level, 1.0) for push, level in own.levels.items()}
     forces = {name: push.force_n or own.force for name, push in pushes.items()}
 
     def load(push: str, share: float, breath: float = 0.0) -> LoadCase:
-        if share == 0.0:
-            return sites[push].scaled(0.0)
-        told = sites[push].scaled(share * forces[push])
-        return changed_load(told, load_changes(told, torso.rest_pose), own.acts[push] + breath * RAISED)
+        acts = own.acts[push]
+        level, _ = raised_level(torso, sides[push], own.levels[push], float(acts @ RAISED) + breath)
+        told = rib_push(torso, sides[push], level, share * forces[push])
+        return changed_load(told, load_changes(told, torso), acts * (1.0 - RAISED))
 
     moves = np.random.default_rng([31, seed, visit])
     own_frames = {push: [_OwnFrame.drawn(moves, p) for _ in one.frames] for push, one in pushes.items()}
@@ -223,7 +224,7 @@ def make_subject(
         try:
             states = {}
             for side in dict.fromkeys(sides.values()):
-                here = [push for push in sites if sides[push] == side]
+                here = [push for push in own.levels if sides[push] == side]
                 springs = support_stiffness(torso, side, [load(push, 1.0) for push in here], stiffness, own.give)
                 problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs), laws=laws)
                 for push in here:
@@ -247,7 +248,7 @@ def make_subject(
             )
     drag = drawn_drag(np.random.default_rng([23, seed, visit]))
     records, tracked = [], {}
-    for push in sites:
+    for push in own.levels:
         frames = pushes[push].frames
         told = [round(share * forces[push], 1) for share, _ in frames]
         tracked[push] = tracked_push(

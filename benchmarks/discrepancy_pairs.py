@@ -74,8 +74,9 @@ from spinestiff.errors import EquilibriumError, SpinestiffError
 from spinestiff.estimation.discrepancy import CHANNELS as TURNS
 from spinestiff.estimation.discrepancy import SIDES, motion_size, plane_motion
 from spinestiff.estimation.discrepancy_data import Mesh
+from spinestiff.estimation.load_acts import load_changes
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.unknowns import ACTS, POWERS, SCALED, load_changes
+from spinestiff.estimation.unknowns import ACTS, POWERS, SCALED
 from spinestiff.imaging.features import VertebraCorners, picture_axes, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.contact import OneSidedProblem
@@ -169,7 +170,7 @@ class Bench:
         scaled = [parameter_group(name, self.torso.joints.kinds) for name in SCALED]
         both = tangent.forward((*ratios.groups, *scaled))
         moves = (both[:, len(ratios.groups) :] @ POWERS)[:, [ACTS.index(act) for act in ("ribs", "volume")]]
-        depth = tangent.load_derivative(load_changes(load, self.torso.rest_pose)[ACTS.index("depth")])
+        depth = tangent.load_derivative(load_changes(load, self.torso)[ACTS.index("depth")])
         whole = np.column_stack([both[:, : len(ratios.groups)], moves, depth])
         bones = whole[: 6 * len(self.torso.bone_names)]
         moves = bones.reshape(len(self.torso.bone_names), 6, -1)[self.torso.vertebra_bones]

@@ -12,20 +12,19 @@ from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.stiffness import parameter_group
 from spinestiff.anatomy.template import template_torso
 from spinestiff.estimation.discrepancy import pushed_site
+from spinestiff.estimation.load_acts import HEIGHT_STEP_MM, changed_load, load_changes
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import (
     ACTS,
     LOADING,
     acts_by_name,
-    changed_load,
     is_fitted,
-    load_changes,
     place_of,
     unknowns_of,
 )
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push, tissue_load
-from spinestiff.mechanics.push import PushSite, Rig, push_load
+from spinestiff.mechanics.push import PushSite, Rig, push_load, raised_level
 
 # What belongs to pictures and not to pushes.
 OF_PICTURES = (
@@ -131,7 +130,7 @@ def test_acts_by_name(column, trials) -> None:
 @pytest.mark.parametrize("bones", [(3, 4), (4,)])
 def test_what_each_act_does_to_a_load(column, force, bones) -> None:
     rest, load = column.torso.rest_pose, column.push(force, bones)
-    changes = load_changes(load, rest)
+    changes = load_changes(load, column.torso)
 
     def with_act(name, size):
         return changed_load(load, changes, size * np.eye(len(ACTS))[ACTS.index(name)])
@@ -152,12 +151,12 @@ def test_what_each_act_does_to_a_load(column, force, bones) -> None:
 def test_a_push_on_tissue_has_no_point_of_its_own_and_no_load_has_no_acts(column) -> None:
     none = PointsOnBones(np.empty(0, np.int64), np.empty((0, 3)))
     pressed = LoadCase(none, np.empty((0, 3)), "pressed", np.array([0]), np.array([[5.0, 0.0, 0.0]]))
-    changes = load_changes(pressed, column.torso.rest_pose)
+    changes = load_changes(pressed, column.torso)
     assert [change.size for change in changes[4:]] == [0.0, 0.0]
     moved = changed_load(pressed, changes, np.array([0.0, 1.0, 0.1, 0.0, 9.0, 9.0, *np.zeros(len(ACTS) - 6)]))
     assert moved.total == pytest.approx([6.0, 0.5, 0.0])
     still = LoadCase(none, np.empty((0, 3)))
-    assert changed_load(still, load_changes(still, column.torso.rest_pose), np.ones(len(ACTS))).size == 0.0
+    assert changed_load(still, load_changes(still, column.torso), np.ones(len(ACTS))).size == 0.0
 
 
 def test_no_trial_has_no_unknown(column) -> None:
@@ -213,13 +212,58 @@ def test_dead_loads_have_the_side_size_and_height_of_their_push(side, force_n) -
     dead, alone = (push_load(torso, site, force_n, Rig(pelvis)) for pelvis in ("dead-loads", "level"))
     assert dead.size == pytest.approx(2.0 * alone.size)
     assert pushed_site(dead, torso) == (side, pytest.approx(8.5))
-    changes, wanted = load_changes(dead, torso.rest_pose), load_changes(alone, torso.rest_pose)
+    changes, wanted = load_changes(dead, torso), load_changes(alone, torso)
     of = dict(zip(LOADING, changes))
     # The gauge's error is that of F3, with which F1 and F2 grow.
     assert np.abs(of["offset"].forces[:2]).sum() == pytest.approx(1.0)
     for name, one in zip(LOADING[2:], wanted[2:]):
         np.testing.assert_allclose(of[name].forces, one.forces, err_msg=name)
     assert np.abs(of["height"].forces).max() > 0.01
+
+
+def height_change(torso, side, level, force_n=60.0):
+    """What a push changes by for each mm that it is higher, N by rib, and the load itself."""
+    load = rib_push(torso, side, level, force_n, anterior_mm=12.0)
+    change = load_changes(load, torso)[ACTS.index("height")]
+    total = {}
+    for bone, force in zip(change.points.bone, change.forces):
+        name = torso.bone_names[bone]
+        total[name] = total.get(name, 0.0) + float(force[0])
+    return {name: force for name, force in total.items() if abs(force) > 1e-9}, change, load
+
+
+@pytest.mark.parametrize(("side", "sign"), [("right", 1.0), ("left", -1.0)])
+def test_a_push_at_a_whole_level_that_is_higher_leaves_its_rib_for_the_one_above(side, sign) -> None:
+    """And one that is lower for the one below: the change is the mean of both."""
+    torso = template_torso(157.0, "coarse")
+    forces, change, load = height_change(torso, side, 8.0)
+    mark = side[0].upper()
+    assert set(forces) == {f"R7_{mark}", f"R8_{mark}", f"R9_{mark}"}
+    assert sign * forces[f"R7_{mark}"] > 0.0 > sign * forces[f"R9_{mark}"]
+    higher, _ = raised_level(torso, side, 8.0, HEIGHT_STEP_MM)
+    pushed = rib_push(torso, side, higher, 60.0).forces[0, 0]
+    assert 2.0 * HEIGHT_STEP_MM * forces[f"R7_{mark}"] == pytest.approx(pushed)
+    assert change.total == pytest.approx(np.zeros(3), abs=1e-9)
+    rest = torso.rest_pose
+    # The resultant rises by 1 mm at its depth; the three ribs' points lie at depths of their own.
+    assert change.moment(rest)[2] == pytest.approx(-60.0 * sign)
+    assert load.moment(rest)[2] == pytest.approx(-60.0 * sign * load.points.positions(rest)[0, 1])
+
+
+def test_a_push_well_between_two_ribs_stays_with_them() -> None:
+    torso = template_torso(157.0, "coarse")
+    forces, change, _ = height_change(torso, "right", 7.5)
+    assert set(forces) == {"R7_R", "R8_R"}
+    assert change.moment(torso.rest_pose)[2] == pytest.approx(-60.0)
+
+
+@pytest.mark.parametrize("level", [1.0, 11.0, 11.5, 12.0])
+def test_the_height_of_a_push_moves_no_more_force_than_there_is(level) -> None:
+    """At the first and the last rib, and where two are as high as each other."""
+    torso = template_torso(157.0, "coarse")
+    forces, change, _ = height_change(torso, "left", level)
+    assert change.total == pytest.approx(np.zeros(3), abs=1e-9)
+    assert 0.0 < max(np.abs(list(forces.values()))) <= 60.0 / HEIGHT_STEP_MM
 
 
 @pytest.mark.parametrize("level", [1.0, 8.3, 11.0, 11.5, 12.0])

@@ -10,7 +10,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.loads import rib_push, three_point_reactions
-from spinestiff.mechanics.push import PushSite, Rig, push_load, push_problem, support_forces
+from spinestiff.mechanics.push import PushSite, Rig, push_heights, push_load, push_problem, raised_level, support_forces
 from spinestiff.mechanics.supports import SupportKind, held_shoulder
 
 RATIOS = stiffness_ratios({"lateral_bending": 0.5, "tissue": 0.3})
@@ -140,3 +140,22 @@ def test_dead_loads_need_the_distances_and_nothing_else_does(torso):
         )
     with pytest.raises(TorsoError, match="push 'a' frame 1: d21 or d31 is not known; dead loads at shoulder"):
         push_load(torso, nowhere, 20.0, Rig("dead-loads"), "push 'a' frame 1")
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_point_that_rises_passes_the_ribs_above(torso, side) -> None:
+    heights = [push_heights(torso, side, level)[2] for level in (7.0, 8.0)]
+    half = 0.5 * (heights[0] - heights[1])
+    assert raised_level(torso, side, 8.0, half) == (pytest.approx(7.5), pytest.approx(half))
+    assert raised_level(torso, side, 7.5, -half) == (pytest.approx(8.0), pytest.approx(-half))
+    level, risen = raised_level(torso, side, 8.2, 31.0)
+    assert risen == pytest.approx(31.0)
+    assert push_heights(torso, side, level)[2] - push_heights(torso, side, 8.2)[2] == pytest.approx(31.0)
+
+
+def test_a_point_stops_at_the_first_and_the_last_rib_and_passes_two_of_one_height(torso) -> None:
+    assert raised_level(torso, "left", 1.0, 3.0) == (1.0, 0.0)
+    assert raised_level(torso, "left", 12.0, -3.0) == (12.0, 0.0)
+    # Rib 12 reaches higher than rib 11, which is taken for 5 mm lower.
+    assert push_heights(torso, "left", 12.0)[2] > push_heights(torso, "left", 11.0)[2]
+    assert raised_level(torso, "left", 11.5, -2.0) == (pytest.approx(11.9), pytest.approx(-2.0))

@@ -18,8 +18,9 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parameter_group
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
+from spinestiff.estimation.load_acts import changed_load, load_changes
 from spinestiff.estimation.objective import Residuals, Trial, make_target, residuals, root_mean_square
-from spinestiff.estimation.unknowns import ACTS, LOADING, PLACING, POWERS, SCALED, changed_load, load_changes, place_of
+from spinestiff.estimation.unknowns import ACTS, LOADING, PLACING, POWERS, SCALED, place_of
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
@@ -132,7 +133,7 @@ def acted(
     scaled = tuple(parameter_group(name, problem.torso.joints.kinds) for name in SCALED)
     groups, values = ((), np.empty(0)) if ratios is None else (ratios.groups, ratios.values)
     ratios = StiffnessRatios((*groups, *scaled), np.concatenate([values, np.exp(POWERS @ acts)]))
-    changes = load_changes(load, problem.torso.rest_pose) if changes is None else changes
+    changes = load_changes(load, problem.torso) if changes is None else changes
     return problem.with_place(place_of(acts)), changed_load(load, changes, acts), ratios
 
 
@@ -155,7 +156,7 @@ class TrialSet:
         # Of the last point alone: they are large.
         self._tangents: tuple[Evaluation, list[Linearisation]] | None = None
         self._scaled = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in SCALED)
-        self._changes = [load_changes(t.load, p.torso.rest_pose) for p, t in zip(problems, trials)]
+        self._changes = [load_changes(t.load, p.torso) for p, t in zip(problems, trials)]
 
     def ratios(self, log_ratios: Floats) -> StiffnessRatios:
         return StiffnessRatios(self.groups, np.exp(log_ratios))

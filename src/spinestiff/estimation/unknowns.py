@@ -12,8 +12,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RIB_ROTATION, ParameterGroup, parameter_group
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
@@ -21,7 +19,6 @@ from spinestiff.estimation.discrepancy import pushed_side
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.places import SupportPlace
 from spinestiff.mechanics.supports import SupportKind
 
@@ -229,76 +226,6 @@ def with_unknowns(ratios: Mapping[str, float], known: Mapping[str, float]) -> di
     return found
 
 
-def load_changes(load: LoadCase, rest: TorsoState) -> tuple[LoadCase, ...]:
-    """What is added to ``load`` per unit of each of the six acts on the load; nothing acts on an unloaded torso."""
-    if load.size == 0.0:
-        return (load,) * len(LOADING)
-    push = load.push
-    moved = [_turned(push, axis) for axis in (2, 1)]
-    if len(load.nodes):
-        # The height of forces on tissue nodes is no single point's.
-        still = load.scaled(0.0)
-        return (load, load.scaled(1.0 / push.size), *moved, still, still)
-    # What holds against the push grows with it, and stays where it is.
-    return (load, load.scaled(1.0 / push.size), *moved, push_height_change(push, rest), _deeper(push, rest))
-
-
-def changed_load(load: LoadCase, changes: Sequence[LoadCase], acts: Floats) -> LoadCase:
-    """``load`` with its acts (len(ACTS),): scaled, and what the others add."""
-    total = load.scaled(float(np.exp(acts[0])))
-    for change, size in zip(changes[1:], acts[1 : len(LOADING)]):
-        if size != 0.0:
-            total = _sum(total, change.scaled(float(size)))
-    return total
-
-
 def place_of(acts: Floats) -> SupportPlace:
     """Where the supports are by a trial's acts (len(ACTS),)."""
     return SupportPlace(*(float(acts[ACTS.index(name)]) for name in PLACING))
-
-
-def _sum(a: LoadCase, b: LoadCase) -> LoadCase:
-    points = PointsOnBones(
-        np.concatenate([a.points.bone, b.points.bone]), np.concatenate([a.points.offset, b.points.offset])
-    )
-    return LoadCase(
-        points,
-        np.concatenate([a.forces, b.forces]),
-        a.label,
-        np.concatenate([a.nodes, b.nodes]),
-        np.concatenate([a.node_forces, b.node_forces]),
-    )
-
-
-def _turned(load: LoadCase, axis: int) -> LoadCase:
-    """Change per rad of the forces' turn: up (about the AP axis) or forward (about the vertical)."""
-    about = np.zeros(3)
-    # Upward and forward whichever way the push points.
-    about[axis] = np.sign(load.total[0] or 1.0) * (1.0 if axis == 2 else -1.0)
-    return LoadCase(
-        load.points, np.cross(about, load.forces), load.label, load.nodes, np.cross(about, load.node_forces)
-    )
-
-
-def _deeper(load: LoadCase, rest: TorsoState) -> LoadCase:
-    """Change per mm that the pushed points lie further to the front."""
-    moved = PointsOnBones.at(rest, load.points.bone, load.points.positions(rest) + np.array([0.0, 0.0, 1.0]))
-    return _sum(LoadCase(moved, load.forces, load.label), LoadCase(load.points, -load.forces))
-
-
-def push_height_change(load: LoadCase, state: TorsoState) -> LoadCase:
-    """What is added to ``load`` for each mm that the pushed point lies higher.
-
-    Points at different heights share the push by the lever rule, so a higher resultant moves force from the lower to
-    the upper one. A single point has nothing to share with: the force rises on its bone, which adds a moment; it
-    is made of a couple of forces 1 mm above and at the point.
-    """
-    places = load.points.positions(state)
-    heights = places[:, 1]
-    spread = heights - heights.mean() if len(heights) else heights
-    total = load.forces.sum(axis=0)
-    if np.any(np.abs(spread) > 1.0):
-        share = spread / np.sum(spread**2)
-        return LoadCase(load.points, share[:, None] * total, load.label)
-    raised = PointsOnBones.at(state, load.points.bone, places + np.array([0.0, 1.0, 0.0]))
-    return _sum(LoadCase(raised, load.forces, load.label), LoadCase(load.points, -load.forces))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spinestiff.anatomy.names import RIBS
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import TorsoError
@@ -16,6 +17,7 @@ from spinestiff.mechanics.result import Equilibrium
 from spinestiff.mechanics.supports import PELVES, SupportKind, held_shoulder, three_point_supports
 
 WALLS = ("bilateral", "one-sided")
+LEAST_SPACING_MM = 5.0
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,21 @@ def push_heights(torso: TorsoModel, side: str, level: float) -> tuple[float, flo
         float(marks["pelvis_belt"].positions(rest)[0, 1]),
         float(share @ load.points.positions(rest)[:, 1]),
     )
+
+
+def raised_level(torso: TorsoModel, side: str, level: float, mm: float) -> tuple[float, float]:
+    """Rib level of the point ``mm`` above that of a push at ``level``, and how far it rises, mm.
+
+    Nothing lies above rib 1 or below rib 12, where it stops. Rib 12 may reach as high as rib 11: from level to level a
+    point is taken to lie lower by ``LEAST_SPACING_MM`` at least.
+    """
+    levels = np.arange(1.0, 13.0)
+    rows = [RIBS.index(f"R{i:.0f}_{side[0].upper()}") for i in levels]
+    floor = LEAST_SPACING_MM * levels
+    down = np.maximum.accumulate(-torso.landmark("rib_lateral")[rows].positions(torso.rest_pose)[:, 1] - floor) + floor
+    here = float(np.interp(level, levels, down))
+    there = float(np.clip(here - mm, down[0], down[-1]))
+    return float(np.interp(there, down, levels)), here - there
 
 
 def support_forces(torso: TorsoModel, load: LoadCase, equilibrium: Equilibrium) -> SupportForces:
