@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.anatomy.template import MESHES, template_torso
-from spinestiff.errors import EquilibriumError, OutsideWarning, SpinestiffError, SubjectError, TrackingError
+from spinestiff.errors import EquilibriumError, OutsideWarning, SpinestiffError, SubjectError, TorsoError, TrackingError
 from spinestiff.files import file_digest
 from spinestiff.imaging.pedicles import pedicle_centres
 from spinestiff.imaging.synthetic.collimation import Collimation
@@ -363,6 +363,14 @@ def test_a_folder_in_use_is_refused_untouched(twins, tiny):
     with pytest.raises(SubjectError, match="is not empty; choose another folder, nothing was written"):
         synthesise(twins[0], tiny)
     assert digests(twins[0]) == before
+
+
+def test_a_body_that_the_template_does_not_have_is_refused_before_any_work(tiny, tmp_path):
+    """Its own mesh has it, those of an estimate do not."""
+    wanted = "the template has no body of 8 years, male, 198 cm: the tissue mesh does not fit this body"
+    with pytest.raises(TorsoError, match=wanted):
+        synthesise(tmp_path / "new", replace(tiny, age=8.0, sex="male", height_cm=198.0))
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("closed", ["new", ""])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.template.body import AGE_RANGE_YEARS
+from spinestiff.anatomy.template.body import AGE_RANGE_YEARS, Sex
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import TorsoError
 from spinestiff.subject.records import SUBJECT_FILE, SubjectRecord
@@ -20,15 +20,20 @@ def subject_template(record: SubjectRecord, mesh: str) -> TorsoModel:
     ------
     TorsoError : the template has no such body.
     """
-    age = float(np.clip(record.age, *AGE_RANGE_YEARS))
     try:
-        return template_torso(record.height_cm, mesh, age_years=age, sex=record.sex, mass_kg=record.mass_kg)
+        return template_body(record.age, record.sex, record.height_cm, mesh, record.mass_kg)
     except TorsoError as error:
-        mass = "" if record.mass_kg is None else f", {record.mass_kg:g} kg"
-        raise TorsoError(
-            f"the template has no body of {record.age:g} years, {record.sex}, {record.height_cm:g} cm{mass}: {error}; "
-            f"see whether {SUBJECT_FILE} has them right"
-        ) from None
+        raise TorsoError(f"{error}; see whether {SUBJECT_FILE} has them right") from None
+
+
+def template_body(age: float, sex: Sex, height_cm: float, mesh: str, mass_kg: float | None = None) -> TorsoModel:
+    """As ``subject_template``, of a body that no record tells of."""
+    years = float(np.clip(age, *AGE_RANGE_YEARS))
+    try:
+        return template_torso(height_cm, mesh, age_years=years, sex=sex, mass_kg=mass_kg)
+    except TorsoError as error:
+        mass = "" if mass_kg is None else f", {mass_kg:g} kg"
+        raise TorsoError(f"the template has no body of {age:g} years, {sex}, {height_cm:g} cm{mass}: {error}") from None
 
 
 def body_notes(record: SubjectRecord) -> list[str]:

@@ -22,7 +22,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
-from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
@@ -57,6 +57,7 @@ from spinestiff.study.elastic_supports import (
 from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
 from spinestiff.study.stiffening import disc_bending, solved_with
+from spinestiff.study.subject_body import template_body
 from spinestiff.study.synthetic_markers import spread_markers, view_of_markers
 from spinestiff.subject.annotation_record import FEWEST_OF_VIEW, FEWEST_VERTEBRAE, Annotation, ImageAnnotation
 from spinestiff.subject.folder import write_annotation, write_subject
@@ -98,6 +99,7 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     Raises
     ------
     SubjectError : the folder is not empty, or the recipe is impossible.
+    TorsoError : the template has no body of this age, sex and height; nothing is written.
     EquilibriumError : the torso can't carry the push at these ratios.
     """
     folder = Path(folder)
@@ -111,6 +113,9 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     check_writable(folder.parent, "the subject and its truth")
     say = heard(observer, logging.getLogger(__name__))
     random = np.random.default_rng(recipe.seed)
+    for mesh in MESHES:
+        # What estimates shape by the subject's radiographs.
+        template_body(recipe.age, recipe.sex, recipe.height_cm, mesh)
     say("shaping the torso")
     torso = subject_torso(recipe, say)
     say(f"{mesh_quality(torso)}; {len(torso.tissue.rest_positions)} nodes")
