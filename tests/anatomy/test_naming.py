@@ -99,6 +99,16 @@ def test_a_mapping_as_windows_editors_save_it_is_read(folder):
     assert find_files(folder, path).unit == "cm"
 
 
+def test_a_bone_is_no_skin(folder):
+    """Unless a mapping says which file is which."""
+    bone = folder / "R7_L.stl"
+    with pytest.raises(TorsoError, match="has the name of a bone, R7_L; wanted the file of the skin, or another name"):
+        find_files(folder, skin=bone)
+    elsewhere = folder.parent / "R7_L.stl"
+    elsewhere.write_bytes(b"x")
+    assert find_files(folder, skin=elsewhere).skin == elsewhere
+
+
 def test_a_skin_by_its_name_is_the_skin_unless_a_mapping_names_another(folder):
     for name in ("skin.stl", "body.ply"):
         (folder / name).touch()

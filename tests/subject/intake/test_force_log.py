@@ -51,6 +51,15 @@ def test_a_unit_that_is_not_told_is_asked_for(log, force):
     np.testing.assert_allclose(read(path, units=("s", "kgf")).forces_n, [0.0, 19.6133])
 
 
+@pytest.mark.parametrize("header", ["time_s,force_N", "t_ms,load", "Zeit,Kraft"])
+def test_columns_named_in_the_other_order_are_refused(log, header):
+    path = log(f"{header}\n0,0\n1,2\n")
+    time, force = header.split(",")
+    for units in ((None, None), ("s", "N")):
+        with pytest.raises(SubjectError, match=f"line 1: column '{force}' is one of force, wanted time; --log-columns"):
+            read(path, names=(force, time), units=units)
+
+
 @pytest.mark.parametrize(
     ("header", "words"),
     [

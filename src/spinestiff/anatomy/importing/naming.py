@@ -61,8 +61,8 @@ def find_files(folder: Path, mapping: Path | None = None, skin: Path | None = No
 
     Raises
     ------
-    TorsoError : no such folder; a file of unknown name; a bone with no file, or with two that are no parts of it; a
-        mapping that names what isn't there.
+    TorsoError : no such folder; a file of unknown name; a bone's file as the skin; a bone with no file, or with two
+        that are no parts of it; a mapping that names what isn't there.
     """
     try:
         meshes = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
@@ -75,6 +75,9 @@ def find_files(folder: Path, mapping: Path | None = None, skin: Path | None = No
         raise TorsoError(f"{folder} holds no mesh; wanted files that end in {', '.join(SUFFIXES)}")
     if len(inside) > MOST_FILES:
         raise TorsoError(f"{folder} holds {len(inside)} meshes; at most {MOST_FILES}")
+    bone = None if skin is None or mapping is not None else bone_of_name(skin.stem)
+    if skin is not None and bone not in (None, SKIN) and skin.resolve() in {path.resolve() for path in inside}:
+        raise TorsoError(f"--skin {skin}: has the name of a bone, {bone}; wanted the file of the skin, or another name")
     known = {path.name: path for path in inside if skin is None or path.resolve() != skin.resolve()}
     found = _by_name(folder, known) if mapping is None else _by_mapping(folder, known, mapping)
     return found if skin is None else replace(found, skin=skin)

@@ -214,6 +214,12 @@ def _with_units(
         if len(told) > 1:
             raise SubjectError(f"{path}: line {number + 1}: column {_shown(cells[i])} names several units; rename it")
         unit = told.pop() if told else None
+        what, other = ("time", "force") if known is _TIME_NAMES else ("force", "time")
+        if unit is None and _says(words, other) and not _says(words, what):
+            raise SubjectError(
+                f"{path}: line {number + 1}: column {_shown(cells[i])} is one of {other}, wanted {what}; --log-columns "
+                "names time first, then force"
+            )
         if unit in others.values():
             wanted = "s or ms" if known is _TIME_NAMES else "N, kgf or lbf"
             raise SubjectError(
@@ -339,11 +345,17 @@ def _matching(cells: list[str], names: tuple[str, str] | None) -> tuple[list[int
     times, forces = [], []
     for i, cell in enumerate(cells):
         words = _tokens(cell)
-        if any(word in _TIME_WORDS for word in words) or (words and words[0] in _TIME_NAMES):
+        if _says(words, "time"):
             times.append(i)
-        elif any(word in _FORCE_WORDS for word in words) or (words and words[0] in _FORCE_NAMES):
+        elif _says(words, "force"):
             forces.append(i)
     return times, forces
+
+
+def _says(words: list[str], what: str) -> bool:
+    """Whether a column of these words is one of ``what``, "time" or "force"."""
+    own, units = (_TIME_WORDS, _TIME_NAMES) if what == "time" else (_FORCE_WORDS, _FORCE_NAMES)
+    return any(word in own for word in words) or bool(words and words[0] in units)
 
 
 def _cells(line: str, separator: str) -> list[str]:
