@@ -31,7 +31,8 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.curves.cobb import CobbReading, Definition, read_cobb
 from spinestiff.curves.corner_files import ImageCorners
 from spinestiff.curves.corner_order import BEYOND, STOPPING
-from spinestiff.imaging.spine_shape import ODDEST, Measure, across, cross, oddities
+from spinestiff.imaging.planar import cross
+from spinestiff.imaging.spine_shape import ODDEST, Measure, across, oddities
 
 RESULTS = Path(__file__).parent / "results" / "cobb_repairs.json"
 FILES = ("images.csv", "landmarks.csv", "angles.csv")

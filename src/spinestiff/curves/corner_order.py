@@ -17,12 +17,12 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.curves.corner_files import CORNERS, ImageCorners
 from spinestiff.errors import SubjectError
+from spinestiff.imaging.planar import cross
 from spinestiff.imaging.spine_shape import (
     CLEARLY,
     Measure,
     Oddity,
     across,
-    cross,
     oddities,
     quarter_turns,
     sizes,

@@ -22,6 +22,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import FitError
 from spinestiff.imaging.features import picture_axes
+from spinestiff.imaging.planar import turns
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
@@ -101,10 +102,7 @@ def plane_motion(rest: Floats, moved: Floats, view: XRayView) -> Floats:
     """
     axes = np.stack(picture_axes(view), axis=1)
     a, b = rest @ axes, moved @ axes
-    arms, turned = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
-    across = np.sum(arms[..., 0] * turned[..., 1] - arms[..., 1] * turned[..., 0], axis=1)
-    along = np.sum(arms * turned, axis=(1, 2))
-    return np.column_stack([b.mean(axis=1) - a.mean(axis=1), np.arctan2(across, along)])
+    return np.column_stack([b.mean(axis=1) - a.mean(axis=1), turns(a, b)])
 
 
 def as_corners(motion: Floats, boxes: Floats, view: XRayView) -> Floats:

@@ -23,6 +23,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import RadiographError, SpinestiffError, TrackingError
+from spinestiff.imaging.planar import cross
 from spinestiff.imaging.silhouette import halves, rim_share
 from spinestiff.words import counted
 
@@ -262,10 +263,10 @@ def check_corners(seen: Floats, boxes: Floats, corners: VertebraCorners) -> None
                 f"{name} has {counted(int(use.sum()), 'usable corner')}, wanted at least {FEWEST_CORNERS}; leave it out"
             )
         c, r = quad[use] - quad[use].mean(0), box[use] - box[use].mean(0)
-        size = np.hypot(np.sum(r * c), np.sum(_cross(r, c))) / np.sum(r * r)
+        size = np.hypot(np.sum(r * c), np.sum(cross(r, c))) / np.sum(r * r)
         # Walking around, every turn of the corners must be the box's: mirrored and crossed orders differ.
-        turns = _cross(np.roll(quad, -1, 0) - quad, np.roll(quad, -2, 0) - np.roll(quad, -1, 0))
-        wanted = _cross(box[1] - box[0], box[2] - box[1])
+        turns = cross(np.roll(quad, -1, 0) - quad, np.roll(quad, -2, 0) - np.roll(quad, -1, 0))
+        wanted = cross(box[1] - box[0], box[2] - box[1])
         convex = use[np.arange(4)] & use[np.arange(-3, 1)] & use[np.arange(-2, 2)]
         if (turns * wanted < 0.0)[convex].any():
             raise TrackingError(
@@ -345,7 +346,7 @@ def place_boxes(
 def _procrustes(c: Floats, r: Floats, names: tuple[str, ...]) -> tuple[Floats, Floats]:
     """Angle = atan2(sum r x c, sum r . c) and its derivative in c, for centred corners."""
     along = np.einsum("vki,vki->v", r, c)
-    across = np.sum(_cross(r, c), axis=1)
+    across = np.sum(cross(r, c), axis=1)
     size2 = along**2 + across**2
     scale = np.einsum("vki,vki->v", r, r) ** 2
     if len(size2) and (size2 <= 1e-12 * scale).any():
@@ -391,10 +392,6 @@ def silhouette_pairs(torso: TorsoModel, view: XRayView) -> Floats:
 def depth_axis(view: XRayView) -> int:
     """The axis of an upright vertebra that lies along the beam."""
     return 2 if view_kind(view) == "frontal" else 0
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _name(names: tuple[str, ...], index: int) -> str:

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from spinestiff.arrays import Floats
+from spinestiff.imaging.planar import cross
 
 Measure = Literal["sideways", "along", "turned", "wide", "high", "wedged"]
 ODDEST: dict[Measure, float] = {
@@ -165,11 +166,6 @@ def wedging(corners: Floats) -> Floats:
 def across(corners: Floats) -> Floats:
     """(..., 2) from the middle of the left side to that of the right one."""
     return np.asarray(0.5 * (corners[..., 1, :] + corners[..., 2, :] - corners[..., 0, :] - corners[..., 3, :]))
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    """The third component of the cross product of vectors (..., 2)."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _tilts(corners: Floats) -> Floats:

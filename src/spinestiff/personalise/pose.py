@@ -19,6 +19,7 @@ from spinestiff.imaging.features import (
     used_corners,
     vertebra_rows,
 )
+from spinestiff.imaging.planar import rotation, turns
 from spinestiff.imaging.projection import XRayView
 
 
@@ -124,7 +125,7 @@ def align_view(
         if abs(turn) < 1e-9 and np.abs(move).max() < 1e-7:
             break
         # q -> Q(turn) (Q(roll) q + shift) + move
-        shift, roll = _rotated(shift, turn) + move, roll + turn
+        shift, roll = rotation(turn) @ shift + move, roll + turn
         view = nominal.moved(shift, roll)
     seen = state_features(torso, view, state, shares, used=used).z[rows]
     residual = seen - target_features(torso, view, corners)
@@ -134,11 +135,5 @@ def align_view(
 def _rigid_motion(seen: Floats, target: Floats, turn: float | None) -> tuple[float, Floats]:
     """The turn (the best one, or the given one) and the shift after it that bring one point set to the other."""
     if turn is None:
-        a, b = seen - seen.mean(0), target - target.mean(0)
-        turn = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
-    return turn, target.mean(0) - _rotated(seen.mean(0), turn)
-
-
-def _rotated(vector: Floats, angle: float) -> Floats:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1]])
+        turn = float(turns(seen, target))
+    return turn, target.mean(0) - rotation(turn) @ seen.mean(0)

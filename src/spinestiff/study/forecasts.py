@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import CobbChange, SpineTilts, cobb_change, tilts
 from spinestiff.estimation.ended import forecast_unseen
 from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.imaging.features import picture_axes, target_features
+from spinestiff.imaging.planar import turns
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.assessment_outcome import ForecastRecord
@@ -106,16 +106,9 @@ def forecast_change(predictions: Predictions, frame: Prediction, forecast: Forec
     axes = np.stack(picture_axes(view), axis=1)
     start = target_features(pushes.torso, reference.view, before, pushes.orientation)[rows[0]]
     expected = (frame.target.z + forecast.corner_errors)[rows[1]]
-    turned = _turns(start @ axes, expected @ axes)
+    turned = turns(start @ axes, expected @ axes)
     rest = tilts(before.vertebrae, before.corners, reference.view).selected(common)
     return cobb_change(rest, SpineTilts(common, rest.superior + turned, rest.inferior + turned), measured.levels)
-
-
-def _turns(start: Floats, end: Floats) -> Floats:
-    """(n,) rad by which figures (n, 4, 2) turn, by least squares, counted from the first axis to the second."""
-    a, b = (figure - figure.mean(axis=1, keepdims=True) for figure in (start, end))
-    across = np.sum(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], axis=1)
-    return np.asarray(np.arctan2(across, np.sum(a * b, axis=(1, 2))))
 
 
 def forecast_record(frame: Prediction, forecast: Forecast, levels: tuple[str, str] | None) -> ForecastRecord:

@@ -10,7 +10,8 @@ from pydantic import Field, field_validator, model_validator
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
-from spinestiff.imaging.spine_shape import CLEARLY, across, cross, quarter_turns
+from spinestiff.imaging.planar import cross
+from spinestiff.imaging.spine_shape import CLEARLY, across, quarter_turns
 from spinestiff.subject.record_reading import Record, shown_key
 from spinestiff.subject.records import Pair, Point, VertebraName
 from spinestiff.words import counted

@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from spinestiff.arrays import Floats
+from spinestiff.imaging.planar import rotation, turns
 from spinestiff.imaging.tracking.flow import dense_flow
-from spinestiff.imaging.tracking.patches import Body, turn
+from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Image, Pictures, as_bytes, inside, levels, matched, sampled
 from spinestiff.imaging.tracking.quality import FOUND, Evidence
 from spinestiff.imaging.tracking.registration import Patch, corrected, inner_shift, scatter, settled_at
@@ -144,7 +145,7 @@ def _beside(
 ) -> list[tuple[Floats, float]]:
     """Places near by at which a patch settles, with their correlations, the one that is held first."""
     pose, _ = held
-    sideways = turn(pose[0]) @ body.width / mm
+    sideways = rotation(pose[0]) @ body.width / mm
     found = [held]
     for aside in ASIDE_MM:
         place = settled_at(body, patch, here, pose + [0.0, *(aside * sideways)])
@@ -169,7 +170,7 @@ def _least_sheared(
         apart = max(float(np.linalg.norm(lower.centre - upper.centre)), 0.5 * upper.size)
         hangs = np.array([upper.placed(pose, middle)[0] for pose, _ in above])
         stands = np.array([lower.placed(pose, middle)[0] for pose, _ in below])
-        across = np.array([turn(pose[0]) @ upper.width for pose, _ in above])
+        across = np.array([rotation(pose[0]) @ upper.width for pose, _ in above])
         shear = np.einsum("abi,ai->ab", hangs[:, None] - stands, across) / (SHEAR * apart)
         joined = total[:, None] - 0.5 * np.minimum(np.abs(shear), WIDEST_SHEAR) ** 2
         before.append(joined.argmax(axis=0))
@@ -239,7 +240,5 @@ def _rigid_fit(body: Body, there: Floats, weight: Floats) -> Floats:
     """Pose that brings the body's points nearest to ``there`` (n, 2) by weighted least squares."""
     share = weight / weight.sum()
     relative = body.points - body.centre
-    middle, target = share @ relative, share @ there
-    a, b = relative - middle, there - target
-    angle = np.arctan2(share @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), share @ np.sum(a * b, axis=1))
-    return np.array([angle, *(target - turn(angle) @ middle - body.centre)])
+    angle = float(turns(relative, there, weight))
+    return np.array([angle, *(share @ there - rotation(angle) @ (share @ relative) - body.centre)])

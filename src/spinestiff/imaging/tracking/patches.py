@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.arrays import Floats, Ints
+from spinestiff.imaging.planar import rotation
 
 # Half width of the band along an outline that is registered, in parts of the vertebra's size. Wider bands follow
 # more of what lies before and behind the vertebra and moves otherwise.
@@ -72,13 +73,7 @@ class Body:
 
     def placed(self, pose: Floats, points: Floats) -> Floats:
         """Points (n, 2) of the first frame carried along."""
-        return self.centre + pose[1:] + (points - self.centre) @ turn(pose[0]).T
-
-
-def turn(angle: float) -> Floats:
-    """Rotation (2, 2) by an angle in rad, from columns towards rows."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[cosine, -sine], [sine, cosine]])
+        return self.centre + pose[1:] + (points - self.centre) @ rotation(pose[0]).T
 
 
 def _area(quad: Floats) -> float:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.arrays import Floats
-from spinestiff.imaging.tracking.patches import Body, turn
+from spinestiff.imaging.planar import rotation
+from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Image, inside, sampled
 
 # Part of a patch that must lie within the image.
@@ -98,7 +99,7 @@ def inner_shift(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats)
     found = pose
     for values, gradients, image in zip(own.values, own.gradients, levels):
         found = _registered(inner, values, gradients, image, found)
-    return float((found[1:] - pose[1:]) @ turn(pose[0]) @ body.width)
+    return float((found[1:] - pose[1:]) @ rotation(pose[0]) @ body.width)
 
 
 def _registered(
@@ -156,7 +157,7 @@ def _robust_fit(columns: Floats, wanted: Floats, weight: Floats, rounds: int) ->
 def _undone(pose: Floats, step: Floats) -> Floats:
     """The pose composed with the inverse of a small motion of the patch about its centre."""
     angle = pose[0] - step[0]
-    return np.array([angle, *(pose[1:] - turn(angle) @ step[1:])])
+    return np.array([angle, *(pose[1:] - rotation(angle) @ step[1:])])
 
 
 def _correlation(a: Floats, b: Floats) -> float:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import TrackingError
+from spinestiff.imaging.planar import turns
 from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import SHADING_MM, Pictures, check_inside, sampled
@@ -197,9 +198,6 @@ def _turn(start: Floats, shifts: Floats, sds: Floats) -> tuple[float, float] | N
     if not found.any() or not np.ptp(start[found], axis=0).any():
         return None
     weight = 1.0 / sds[found] ** 2
-    share = weight / weight.sum()
     old, new = start[found], (start + shifts)[found]
-    old, new = old - share @ old, new - share @ new
-    cross = weight @ (old[:, 0] * new[:, 1] - old[:, 1] * new[:, 0])
-    dot = weight @ (old * new).sum(axis=1)
-    return float(np.arctan2(cross, dot)), float((weight @ (old**2).sum(axis=1)) ** -0.5)
+    arms = old - weight @ old / weight.sum()
+    return float(turns(old, new, weight)), float((weight @ (arms**2).sum(axis=1)) ** -0.5)
