@@ -206,7 +206,7 @@ def lost_vertebra(case: Case, mm: float) -> Case:
     last = int(np.argmax([t.force_n for t in case.pushes.training]))
     for i, part in enumerate(case.fit.residuals):
         change = np.zeros(part.difference.shape)
-        sure = np.flatnonzero(part.weights >= DOUBTED_QUALITY)
+        sure = np.flatnonzero(part.quality >= DOUBTED_QUALITY)
         change[sure[chosen(case, len(sure))]] = mm * np.array([1.0, 0.0]) * (i == last)
         changes.append(change)
     return replace(case, fit=refitted(case, changes))
@@ -215,7 +215,7 @@ def lost_vertebra(case: Case, mm: float) -> Case:
 def refitted(case: Case, changes: Sequence[np.ndarray]) -> StiffnessFit:
     """The fit after its residuals (simulated minus measured) changed: what the ratios can take of it is gone."""
     fit, slopes = case.fit, in_log_ratio(case)
-    roots = [np.sqrt(part.weights)[:, None, None] for part in fit.residuals]
+    roots = [np.sqrt(part.quality)[:, None, None] for part in fit.residuals]
     stacked = np.concatenate([(root * change).ravel() for root, change in zip(roots, changes)])
     taken = slopes @ np.linalg.lstsq(slopes, stacked, rcond=1e-6)[0]
     parts, at = [], 0
@@ -232,7 +232,8 @@ def in_log_ratio(case: Case) -> np.ndarray:
     for item, part, solved in zip(case.pushes.training, fit.residuals, fit.equilibria, strict=True):
         problem, load = case.pushes.problems[item.push], item.trial.load
         there = problem.solve(load, fit.ratios, solved.state).require()
-        found.append(part.along(problem.linearise(there, load, fit.ratios).forward(fit.ratios.groups)))
+        slopes = part.along(problem.linearise(there, load, fit.ratios).forward(fit.ratios.groups))
+        found.append(np.sqrt(np.repeat(part.quality, 8))[:, None] * slopes)
     return np.concatenate(found)
 
 

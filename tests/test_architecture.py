@@ -232,6 +232,28 @@ def test_no_result_comes_from_a_room_whose_sources_do_not_count() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_what_is_beside_the_results_is_imported_by_nothing_that_makes_one() -> None:
+    """So that an edit there has no result made again; and all modules of words count as words."""
+    from spinestiff.subject.program import ABOVE, BESIDE, TOLD
+
+    def lies_in(path: Path, places: tuple[str, ...]) -> bool:
+        inside = path.relative_to(SOURCE)
+        return any(one.as_posix() in places for one in (inside, *inside.parents))
+
+    assert all((SOURCE / name).exists() for name in BESIDE)
+    found, todo = set(), ["spinestiff.study.runner", "spinestiff.study.repeatability", "spinestiff.study.phantom"]
+    todo += [name for name in NAMES if name.startswith(("spinestiff.study.seven.", "spinestiff.study.planning."))]
+    while todo:
+        name = todo.pop()
+        if name in NAMES and name not in found:
+            found.add(name)
+            todo += [one.target for one in imports(NAMES[name])]
+    assert len(found) > 200
+    assert not {ids(NAMES[name]) for name in found if lies_in(NAMES[name], BESIDE)}
+    words = [path for path in MODULES if path.stem.endswith("words") and not lies_in(path, ABOVE)]
+    assert len(words) > 5 and not [ids(path) for path in words if not lies_in(path, TOLD)]
+
+
 def test_numbers_take_nothing_but_words_from_what_only_tells_them() -> None:
     """So that an edited sentence or page can change no number, and has no result made again."""
     from spinestiff.subject.program import ABOVE, TOLD

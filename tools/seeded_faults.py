@@ -493,8 +493,8 @@ FAULTS = (
     Fault(
         "fit: image loss pulls the wrong way (Eq. 11 as printed)",
         "estimation/objective.py",
-        'blocks = np.einsum("v,vki,vkic->vc", self.weights, self.difference, self.jacobian)',
-        'blocks = -np.einsum("v,vki,vkic->vc", self.weights, self.difference, self.jacobian)',
+        'blocks = np.einsum("vki,vkic->vc", self.difference, self.jacobian)',
+        'blocks = -np.einsum("vki,vkic->vc", self.difference, self.jacobian)',
         CHECKS,
     ),
     Fault(

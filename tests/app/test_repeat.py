@@ -51,6 +51,21 @@ def test_two_visits_of_one_person(spinestiff, subject, tmp_path):
     assert 0.0 < again["scatter"]["lateral_bending"]["expected_sd_log"] < wider
 
 
+@pytest.mark.usefixtures("taken_anew")
+@pytest.mark.parametrize("name", ["repeat.json", "repeat.png"])
+def test_somebody_elses_file_is_not_replaced(spinestiff, subject, tmp_path, name):
+    later, out = tmp_path / "later" / "girl2", tmp_path / "out"
+    shutil.copytree(subject, later)
+    out.mkdir()
+    (out / name).write_text('{"mine": 1}', encoding="utf-8")
+    ran = spinestiff("repeat", subject, later, "--out", out)
+    assert ran.status == 2 and f"has another {name}, which repeat would replace; name another" in ran.err
+    assert [path.name for path in out.iterdir()] == [name] and (out / name).read_text() == '{"mine": 1}'
+    (out / name).unlink()
+    for _ in range(2):  # its own are
+        assert spinestiff("repeat", subject, later, "--out", out).status == 0
+
+
 @pytest.mark.parametrize("out", ["file", "file/in/it"])
 def test_an_output_that_can_not_be_written_is_refused_by_its_name(tmp_path, monkeypatch, out):
     (tmp_path / "file").write_text("no folder", encoding="utf-8")

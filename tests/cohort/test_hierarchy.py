@@ -26,6 +26,17 @@ def test_people_alike_in_what_is_known_of_them_have_a_closed_form():
     assert found.half_width == pytest.approx(t.ppf(0.975, 4))
 
 
+def test_a_spread_that_is_only_rounding_is_none():
+    """Where the likelihood is flat at 0, its least place is anywhere near: 3e-9 reads as a result."""
+    random, none = np.random.default_rng(5), 0
+    for _ in range(60):
+        sds = random.uniform(0.2, 0.6, 8)
+        found = hierarchy(sds * random.normal(size=8), sds)
+        none += found.tau == 0.0
+        assert found.tau == 0.0 or found.tau > 1e-4
+    assert none > 5
+
+
 def test_scatter_below_the_errors_leaves_the_spread_between_people_open():
     found = hierarchy([0.1, 0.11, 0.09, 0.1], [0.5, 0.5, 0.6, 0.4])
     assert (found.tau, found.tau_low, found.tau_high) == (0.0, 0.0, None)

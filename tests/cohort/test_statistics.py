@@ -118,7 +118,13 @@ def test_ratios_to_the_whole_and_to_the_default_are_not_pooled():
     assert [title_of(one) for one in (default, whole)] == [
         "ratio tissue, times the default stiffness", "ratio tissue, times the ratio of the whole",
     ]  # fmt: skip
-    draw_statistics((default, whole), members, ("", ""))
+    figure = draw_statistics((default, whole), members, ("", ""))
+    # The picture shows the intervals that the rows have.
+    drawn = [path.vertices[:, 1] for lines in figure.axes[0].collections for path in lines.get_paths()]
+    for person in default.shrunken:
+        own = members[int(person.participant.removeprefix("sub-"))].row.stiffness["tissue"]
+        assert (person.own_low, person.own_high) == (own.low, own.high)
+        assert any(np.allclose(ends[:2], (own.low, own.high)) for ends in drawn)
     page = cohort_page(members)
     assert "tissue, times default" in page and "tissue, times whole" in page
 

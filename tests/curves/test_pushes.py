@@ -17,6 +17,7 @@ from spinestiff.curves.angle_csv import angles_csv
 from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, reading_of, rest_reading, seen_frames
 from spinestiff.curves.tilts import tilts
 from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.estimation.priors import Priors
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view
@@ -154,6 +155,17 @@ def test_corner_noise_widens_what_annotation_leaves_open(finished):
         push_responses(subject, noise_px=float("nan"))
 
 
+def test_a_gauge_is_as_sure_as_the_subjects_priors_say(finished):
+    subject = read_subject(finished.folder)
+    usual = push_responses(subject)
+    assert (usual.gauge_scale_sd, usual.gauge_zero_sd_n) == (Priors().force_scale, Priors().force_offset_n)
+    record = subject.record.model_copy(update={"priors": {"force_scale": 0.2}})
+    found = push_responses(replace(subject, record=record))
+    assert (found.gauge_scale_sd, found.gauge_zero_sd_n) == (0.2, Priors().force_offset_n)
+    narrow, wide = (one.pushes["main"].tilt.n_per_degree for one in (usual, found))
+    assert wide.high - wide.low > 1.5 * (narrow.high - narrow.low)
+
+
 def test_n_per_degree_of_a_subject(finished):
     """The subject's own true changes of tilt lie within the intervals, both of pushes."""
     subject = read_subject(finished.folder)
@@ -221,7 +233,11 @@ def tracked(monkeypatch, tmp_path):
         monkeypatch.setattr(pushes, "rest_reading", lambda *_: reading_of("rest/frontal", SPINE, VIEW))
         monkeypatch.setattr(pushes, "read_outcome", lambda *_: SimpleNamespace(pushes={"main": found}))
         (tmp_path / Tracked.FILE).touch()
-        return SimpleNamespace(results=tmp_path, push=lambda name: SimpleNamespace(id=name, forces_n=forces))
+        return SimpleNamespace(
+            results=tmp_path,
+            record=SimpleNamespace(priors={}),
+            push=lambda name: SimpleNamespace(id=name, forces_n=forces),
+        )
 
     return make
 

@@ -250,10 +250,14 @@ def test_a_record_that_does_not_fit_is_refused(folder, changes, words) -> None:
         read_phantom(folder)
 
 
-def test_an_unknown_error_is_refused(record) -> None:
-    strange = record.model_copy(update={"errors": {"force": 0.1}})
-    with pytest.raises(SubjectError, match=r"phantom.json: errors: unknown 'force'; known are annotation_mm, "):
-        analyse(strange, pictures(record, bench_values(record)))
+def test_an_unknown_or_impossible_error_is_refused(record) -> None:
+    for errors, text in (
+        ({"force": 0.1}, r"^phantom.json: errors.force: unknown prior; wanted one of annotation_mm, "),
+        ({"annotation_mm": 0.0}, r"^phantom.json: errors: prior annotation_mm "),
+    ):
+        strange = record.model_copy(update={"errors": errors})
+        with pytest.raises(SubjectError, match=text):
+            analyse(strange, pictures(record, bench_values(record)))
 
 
 def test_pictures_that_do_not_fit_are_refused(folder, record) -> None:

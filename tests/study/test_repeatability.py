@@ -12,7 +12,7 @@ from scipy.stats import norm
 from spinestiff.app.repeat import record_of
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
-from spinestiff.study.repeat_words import repeatability_lines
+from spinestiff.study.repeat_words import change_words, repeatability_lines
 from spinestiff.study.repeatability import (
     LEAST_REACH,
     TWO_SIDED,
@@ -325,6 +325,15 @@ def test_who_has_no_second_visit_is_named() -> None:
     found = repeatability([visit("a", 0, bending=0.1), visit("b", 0, bending=0.3), visit("a", 1, bending=0.1)])
     (line,) = [line for line in repeatability_lines(found) if line.startswith("b-0")]
     assert "compared with nothing: no other visit has its id 'b'" in line
+
+
+@pytest.mark.parametrize(("low", "text"), [(1.0048, "1.005 to"), (1.3, "1.3 to"), (0.9996, "0.9996 to")])
+def test_an_end_beside_one_says_on_which_side_it_lies(low, text) -> None:
+    visits = [
+        VisitEstimate(f"v-{i}", "v", {"tissue": VisitRatio(value, 0.05, 0.05)}) for i, value in enumerate((0.1, 0.12))
+    ]
+    (change,) = repeatability(visits).changes
+    assert f"({text} " in change_words(replace(change, verdict="changed", factor=1.2, low=low, high=1.5))
 
 
 def test_one_repetition_gives_no_factor() -> None:

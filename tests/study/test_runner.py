@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from spinestiff import __version__
-from spinestiff.errors import EquilibriumError, FitError, RadiographError, SubjectError
+from spinestiff.errors import EquilibriumError, FitError, OptionError, RadiographError, SubjectError
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.study.runner import ALL_STEPS, STEPS, Step, run_steps
 from spinestiff.study.visit import Settings, open_visit
@@ -242,7 +242,7 @@ def move_corner(image):
     [
         ("subject.json", set_height, AFTER["personalise"]),
         ("subject.json", set_role, AFTER["estimate"]),
-        ("subject.json", set_prior, AFTER["estimate"]),
+        ("subject.json", set_prior, ["response", *AFTER["estimate"]]),
         ("subject.json", set_parameters, AFTER["estimate"]),
         ("subject.json", set_population, AFTER["estimate"]),
         ("subject.json", set_force, ["response", *AFTER["estimate"]]),
@@ -437,6 +437,11 @@ def test_a_missing_step_is_named(subject, lost, step, maker):
     words = rf"{lost}: no such file; run the step that makes it first \(spinestiff {maker} {subject}\)"
     with pytest.raises(SubjectError, match=words):
         run_steps(opened(subject), (step,))
+
+
+def test_a_step_that_there_is_not_is_refused(subject):
+    with pytest.raises(OptionError, match="no step 'estmate'; wanted some of track, "):
+        run_steps(opened(subject), ("estmate",))
 
 
 def test_a_damaged_radiograph_keeps_all_results(subject):

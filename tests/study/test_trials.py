@@ -563,4 +563,4 @@ def test_a_badly_tracked_corner_moves_no_box(torso, corners):
     trials = push_set(torso, [record()], {"main": tracked(marked, bad, with_quality(marked, T4=[0.5] * 4))}).trials
     _, worse, well = (make_target(torso, one.trial) for one in trials)
     np.testing.assert_allclose(worse.z[at], well.z[at], atol=1e-9)
-    assert worse.weights[at] < well.weights[at]
+    assert worse.quality[at] < well.quality[at]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import spinestiff
-from spinestiff.subject.program import ABOVE, TOLD, program, program_of_numbers, sources_digest
+from spinestiff.subject.program import ABOVE, BESIDE, TOLD, program, program_of_numbers, sources_digest
 
 
 @pytest.fixture
@@ -81,4 +81,4 @@ def test_the_program_is_its_version_and_sources() -> None:
     folder = Path(spinestiff.__file__).parent
     assert sources_digest(folder).startswith(digest) and len(digest) == 12
     assert {path.name for path in folder.iterdir()} >= set(ABOVE)
-    assert program_of_numbers() == f"{version}+{sources_digest(folder, (*ABOVE, *TOLD))[:12]}" != program()
+    assert program_of_numbers() == f"{version}+{sources_digest(folder, (*ABOVE, *TOLD, *BESIDE))[:12]}" != program()

@@ -157,6 +157,9 @@ def test_views_and_markers_by_the_page(served, root, more):
         )
         assert status == 422 and body["error"], body
     served.good("POST", f"/api/subjects/{key}/views", {**more, "names": side, "push": 0, "view": view})
+    again = {**more, "names": side, "push": 0, "view": {**view, "id": "again"}}
+    status, body = served.json("POST", f"/api/subjects/{key}/views", again)
+    assert status == 422 and "the same image as pushes/a-side.dcm, which the subject has" in body["error"]
     table = "\n".join(["marker,frame,x,y,z", *(f"{name},{frame},1,2,3" for name in "abc" for frame in range(3))])
     markers = {"unit": "mm", "axes": {"left": "+x", "up": "+z", "front": "-y"}, "side": "back", "shown": {"a": [9, 9]}}
     for wrong in ({"markers": {}}, {"text": ""}, {"push": 9}):

@@ -154,6 +154,10 @@ def test_what_can_not_be_removed_or_put_back_is_said_and_changes_nothing(served,
     (girl / "annotation.draft.json").unlink()
     status, said = served.json("POST", f"/api/trash/{trash}/restore", {})
     assert status == 422 and "used twice" in said["error"]
+    write_json(girl / "subject.json", values | {"id": "somebody-else"})
+    status, said = served.json("POST", f"/api/trash/{trash}/restore", {})
+    assert status == 422 and "this was taken from 'girl'" in said["error"]
+    write_json(girl / "subject.json", values)
     removed = served.good("DELETE", f"/api/subjects/{served.key()}")["trash"]
     status, said = served.json("POST", f"/api/trash/{trash}/restore", {})
     assert status == 422 and "the subject girl is not there" in said["error"]

@@ -346,6 +346,18 @@ def test_of_several_one_has_to_be_chosen_and_an_image_twice_is_told(root, tmp_pa
     assert len(notes) == 1 and "is the same image as rest/lateral.dcm" in notes[0]
 
 
+def test_what_is_in_the_trash_is_not_put_back_into_another_subject_of_the_name(served, girl, tmp_path):
+    trash = replaced(served, wish(served, tmp_path)[0])
+    values = read_json(girl / "subject.json")
+    write_json(girl / "subject.json", values | {"id": "somebody-else"})
+    before = content_of(girl)
+    status, body = served.json("POST", f"/api/trash/{trash}/restore", {})
+    assert status == 422 and "has the id 'somebody-else', and this was taken from 'girl'" in body["error"]
+    assert content_of(girl) == before
+    write_json(girl / "subject.json", values)
+    served.good("POST", f"/api/trash/{trash}/restore", {})
+
+
 def test_a_radiograph_in_the_trash_waits_for_its_subject(served, girl, tmp_path):
     trash = replaced(served, wish(served, tmp_path)[0])
     removed = served.good("DELETE", f"/api/subjects/{served.key()}")["trash"]

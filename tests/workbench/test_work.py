@@ -24,7 +24,7 @@ import pytest
 from asking import wait_for
 from hospital import disc, export, gauged
 from spinestiff.annotate import session
-from spinestiff.annotate.draft import DraftImage
+from spinestiff.annotate.draft import DRAFT_FILE, DraftImage
 from spinestiff.app.plan import wish_of
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, write_json
@@ -33,7 +33,7 @@ from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import read_subject, read_unannotated, write_annotation
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.subject.run_record import record_step, step_record, write_outcome
-from spinestiff.workbench import parcel
+from spinestiff.workbench import job_process, parcel
 from spinestiff.workbench.bench import open_bench
 from spinestiff.workbench.job_process import run_job, start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
@@ -547,13 +547,41 @@ def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_pa
     for word in kept:
         assert word.partition("_")[0] in told.lower(), word
     subject, first = read_subject(tmp_path / "bare"), read_subject(root / "girl")
-    assert subject.record.id == "subject" and subject.pushes[0].id == "push-1"
+    assert re.fullmatch("subject-[0-9a-f]{8}", subject.record.id) and subject.pushes[0].id == "push-1"
     assert read_json(tmp_path / "bare" / "subject.json")["xray"] == {"images": {"push/push-1": distance}}
     assert subject.annotation.images["push/push-1"] == first.annotation.images["push/a"]
     old = pydicom.dcmread(root / "girl" / first.pushes[0].frames)
     new = pydicom.dcmread(tmp_path / "bare" / subject.pushes[0].frames)
     assert (new.pixel_array == old.pixel_array).all() and new.PatientIdentityRemoved == "YES"
     assert list(served.bench.parcels.folder.iterdir()) == []
+
+
+def test_zip_files_without_names_have_ids_of_their_own_and_name_what_they_leave_out(root, tmp_path):
+    """Visits with one id are taken for visits of one person; and marks that are not complete are not lost unsaid."""
+    annotated(root / "girl")
+    write_json(root / "girl" / DRAFT_FILE, read_json(root / "girl" / "annotation.json"))
+    found = set()
+    for number in range(2):
+        place = nameless_parcel(root / "girl", tmp_path / f"parcels-{number}", True)
+        with zipfile.ZipFile(place) as zipped:
+            found.add(json.loads(zipped.read("subject.json"))["id"])
+            assert "Left out: marks that are not complete yet." in zipped.read("README.txt").decode()
+            assert DRAFT_FILE not in zipped.namelist()
+    assert len(found) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [("120", True), ("100.5", True), ("T10", True), ("rib", True), ("Anna", False), ("p-017", False), ("R10_L", False)],
+)
+def test_a_log_hides_a_folders_name_unless_it_reads_as_what_the_program_says(tmp_path, name, kept):
+    folder, log = tmp_path / name, tmp_path / "log"
+    folder.mkdir()
+    said = f"{folder}: {name} N, {name} is done"
+    with subprocess.Popen([sys.executable, "-c", f"print({said!r})"], stdout=subprocess.PIPE) as process:
+        job_process._keep_log(process, folder, log)
+    rest = f"{name} N, {name} is done" if kept else "subject N, subject is done"
+    assert log.read_text(encoding="utf-8") == f"subject: {rest}\n"
 
 
 def test_a_zip_file_without_names_says_nothing_of_pushes_that_are_gone(served, root, tmp_path):

@@ -154,7 +154,8 @@ def _least(function: Callable[[float], float], scale: float) -> float:
     best = int(np.argmin([function(float(tau)) for tau in grid]))
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, _GRID)]
     found = minimize_scalar(function, bounds=(low, high), method="bounded", options={"xatol": 1e-9 * scale})
-    return 0.0 if function(0.0) <= found.fun else float(found.x)
+    # Below the grid's first step a spread is none: what is less there is rounding.
+    return 0.0 if found.x < grid[1] or function(0.0) <= found.fun else float(found.x)
 
 
 def _where(falling: Callable[[float], float], wanted: float, scale: float) -> float | None:

@@ -14,13 +14,13 @@ from spinestiff.cohort.group import Member
 from spinestiff.cohort.hierarchy import hierarchy
 from spinestiff.cohort.row import Row
 from spinestiff.cohort.statistics import Shrunken, StiffnessStatistics, counted_rows
-from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.study.report.figures import FIT, MEASURED, STYLE, plain_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_NAMED = 45
+FARTHEST_LOG = 2.2  # of an interval's end from its estimate, as far as the picture shows it
 _GREY = "#9AA3AD"
 _AXES = (("age", "age, years"), ("height", "height, cm"), ("cobb", "Cobb angle, degrees"), ("sex", ""), ("curve", ""))
 
@@ -51,10 +51,10 @@ def draw_statistics(found: Sequence[StiffnessStatistics], members: Sequence[Memb
 
 
 def _limits(found: StiffnessStatistics) -> tuple[float, float]:
-    """Of the axis: estimates with twice their errors, those that are hardly known cut."""
-    values = np.log([one.value for one in found.shrunken])
-    sds = np.minimum([one.sd_log for one in found.shrunken], 1.0)
-    low, high = float((values - 2.2 * sds).min()), float((values + 2.2 * sds).max())
+    """Of the axis: all estimates and their intervals, those that are hardly known cut."""
+    values, lows, highs = np.log([(one.value, one.own_low, one.own_high) for one in found.shrunken]).T
+    low = float(np.maximum(lows, values - FARTHEST_LOG).min()) - 0.1
+    high = float(np.minimum(highs, values + FARTHEST_LOG).max()) + 0.1
     return float(np.exp(low)), float(np.exp(high + 0.12 * (high - low)))
 
 
@@ -80,9 +80,10 @@ def _people(axis: Axes, found: StiffnessStatistics, title: str) -> None:
 def _both(axis: Axes, places: Sequence[float] | np.ndarray, people: Sequence[Shrunken]) -> None:
     """Estimates with their intervals, and where all others draw them."""
     value, given = np.array([one.value for one in people]), np.array([one.given_all for one in people])
-    reach = np.exp(HALF_WIDTH_95 * np.array([one.sd_log for one in people]))
     size = 4.0 if len(people) <= MOST_NAMED else 2.2
-    axis.vlines(places, value / reach, value * reach, color=_GREY, lw=size / 4.0, zorder=2)
+    axis.vlines(
+        places, [one.own_low for one in people], [one.own_high for one in people], color=_GREY, lw=size / 4.0, zorder=2
+    )
     axis.vlines(places, value, given, color=FIT, lw=size / 4.0, zorder=3)
     axis.plot(places, value, "o", color=_GREY, ms=size, zorder=3)
     axis.plot(places, given, "D", color=FIT, ms=0.9 * size, zorder=4)
@@ -125,7 +126,7 @@ def _by_kind(axis: Axes, people: Sequence[Shrunken], given: Sequence[str], y: np
             axis.plot([number - 0.4, number + 0.4], [np.exp(middle)] * 2, color=MEASURED, lw=2.0, zorder=5)
     axis.set_xlim(-0.6, len(kinds) - 0.4)
     names = [f"{_broken(kind)}\n({given.count(kind)})" for kind in kinds]
-    axis.set_xticks(range(len(kinds)), names, fontsize=9)
+    axis.set_xticks(range(len(kinds)), names, fontsize=8)
     axis.grid(visible=False, axis="x")
 
 

@@ -77,12 +77,15 @@ class Shrunken:
 
     Attributes
     ----------
-    value : as estimated. sd_log : of its log. given_all, low, high : given all others, with the 95 % interval.
+    value, own_low, own_high : as estimated, with the estimate's own 95 % interval. sd_log : of its log.
+    given_all, low, high : given all others, with the 95 % interval.
     weight : from 0 (only the others tell) to 1 (only its own radiographs do).
     """
 
     participant: str
     value: float
+    own_low: float
+    own_high: float
     sd_log: float
     given_all: float
     low: float
@@ -264,7 +267,7 @@ def _of_stiffness(
         person_high=None if people.tau_high is None else float(np.exp(mean + reach)),
         alone=_holm(alone),
         together=_holm(together),
-        shrunken=_shrunken(rows, y, sds, given),
+        shrunken=_shrunken(counted, sds, given),
         needed=tuple(_needed(factor, people, sds, [found for _, found in counted]) for factor in factors),
     )
 
@@ -293,15 +296,13 @@ def _holm(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     return tuple(Effect(one.name, one.factor, one.low, one.high, one.p_value, adjusted[one.name]) for one in effects)
 
 
-def _shrunken(rows: Sequence[Row], y: Floats, sds: Floats, found: Hierarchy) -> tuple[Shrunken, ...]:
+def _shrunken(counted: Sequence[tuple[Row, Stiffness]], sds: Floats, found: Hierarchy) -> tuple[Shrunken, ...]:
     reach = found.half_width * found.sds
+    given = zip(sds, np.exp(found.means), np.exp(found.means - reach), np.exp(found.means + reach), found.weights)
     return tuple(
-        Shrunken(row.participant, *(float(one) for one in values))
-        for row, *values in zip(
-            rows, np.exp(y), sds, np.exp(found.means), np.exp(found.means - reach), np.exp(found.means + reach),
-            found.weights,
-        )
-    )  # fmt: skip
+        Shrunken(row.participant, own.value, own.low or own.value, own.high or own.value, *map(float, values))
+        for (row, own), values in zip(counted, given, strict=True)
+    )
 
 
 def _needed(factor: float, people: Hierarchy, sds: Floats, found: Sequence[Stiffness]) -> Needed:

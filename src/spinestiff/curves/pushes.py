@@ -17,7 +17,7 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.subject.folder import Subject, image_corners, read_rest
 from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
-from spinestiff.subject.records import PushRecord
+from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, refuse_changed
 
 FORMS = ("signed", "fixed_levels", "tilt")
@@ -108,18 +108,25 @@ def annotated_frame(push: TrackedPush, frame: int) -> int:
     return min(push.annotated_frames, key=lambda one: abs(one - frame), default=0)
 
 
-def push_responses(subject: Subject, gauge: GaugeError = GAUGE, noise_px: float | None = None) -> Responses:
+def gauge_of(record: SubjectRecord) -> GaugeError:
+    """The errors of a subject's gauge: ``force_scale`` and ``force_offset_n`` of its priors, or the usual ones."""
+    given = record.priors
+    return GaugeError(given.get("force_scale", GAUGE.scale), given.get("force_offset_n", GAUGE.zero_n))
+
+
+def push_responses(subject: Subject, gauge: GaugeError | None = None, noise_px: float | None = None) -> Responses:
     """N per degree and flexibility of every push, from the tracked frames, by endplates; no model is asked.
 
     Parameters
     ----------
-    gauge : its errors. noise_px : as ``cobb_frames``.
+    gauge : its errors; those of the subject's ``priors`` if left out. noise_px : as ``cobb_frames``.
 
     Raises
     ------
     SubjectError : the pushes have not been tracked, or not as their record has them by now; the rest image can't be
         read.
     """
+    gauge = gauge or gauge_of(subject.record)
     tracked = read_outcome(subject, Tracked).pushes
     at_rest = read_rest(subject, "frontal").view
     corners = image_corners(subject, "rest/frontal", at_rest)

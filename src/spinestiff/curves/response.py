@@ -19,6 +19,7 @@ from spinestiff.curves.changes import LEAST_ERROR_MM
 from spinestiff.curves.cobb import check_reading, tilt_sds, usual_noise
 from spinestiff.curves.tilts import SpineTilts, cobb_angle, cobb_change, tilts_from_points
 from spinestiff.errors import SpinestiffError
+from spinestiff.estimation.priors import Priors
 from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
 from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse
@@ -38,8 +39,8 @@ class GaugeError:
     scale : relative. zero_n : of every force above 0, N; without contact there is no force, whatever the gauge reads.
     """
 
-    scale: float = 0.02
-    zero_n: float = 1.5
+    scale: float = Priors.force_scale
+    zero_n: float = Priors.force_offset_n
 
     def __post_init__(self) -> None:
         if not (self.scale >= 0.0 and self.zero_n >= 0.0):

@@ -169,7 +169,7 @@ class Target(ShortRepr):
     rows : (Nv,) the visible vertebrae among the torso's.
     bones : (Nv,) their bones.
     z : (Nv, 4, 2) mm at the patient plane, measured features z-hat.
-    weights : (Nv,) mean quality of a vertebra's usable corners; features mix all four, so they share one weight.
+    quality : (Nv,) mean of a vertebra's usable corners.
     shares : (V, 4) from ``silhouette_shares`` in the rest pose.
     used : (V, 4) bool, corners that place the boxes.
     orientation : "procrustes" or "covariance".
@@ -179,7 +179,7 @@ class Target(ShortRepr):
     rows: Ints
     bones: Ints
     z: Floats
-    weights: Floats
+    quality: Floats
     shares: Floats
     used: np.ndarray
     orientation: Orientation
@@ -193,27 +193,27 @@ class Residuals(ShortRepr):
     ----------
     difference : (Nv, 4, 2) mm at the patient plane, z - z-hat.
     jacobian : (Nv, 4, 2, 6), derivative in the pose of the vertebra's own bone.
-    bones, weights : (Nv,).
+    bones, quality : (Nv,), as in ``Target``.
     """
 
     difference: Floats
     jacobian: Floats
     bones: Ints
-    weights: Floats
+    quality: Floats
 
     @property
     def values(self) -> Floats:
-        """(8 Nv,) mm, the difference times the root of the weight."""
-        return (np.sqrt(self.weights)[:, None, None] * self.difference).reshape(-1)
+        """(8 Nv,) mm, the differences in one row."""
+        return self.difference.reshape(-1)
 
     @property
     def loss(self) -> float:
-        """L = 1/2 sum w |z-hat - z|^2, mm^2 (Eq. 9)."""
+        """L = 1/2 sum |z-hat - z|^2, mm^2 (Eq. 9)."""
         return 0.5 * float(np.sum(self.values**2))
 
     @property
     def rmse(self) -> float:
-        """Root of the mean, over corners, of the squared distance in the picture, mm; without weights."""
+        """Root of the mean, over corners, of the squared distance in the picture, mm."""
         return float(np.sqrt(np.mean(np.sum(self.difference**2, axis=2))))
 
     def gradient(self, dofs: int) -> Floats:
@@ -221,15 +221,14 @@ class Residuals(ShortRepr):
 
         Eq. 11 as printed has the opposite sign: the derivative of 1/2 |z-hat - z|^2 is -(z-hat - z)^T dz.
         """
-        blocks = np.einsum("v,vki,vkic->vc", self.weights, self.difference, self.jacobian)
+        blocks = np.einsum("vki,vkic->vc", self.difference, self.jacobian)
         gradient = np.zeros(dofs)
         np.add.at(gradient, self._columns.reshape(-1), blocks.reshape(-1))
         return gradient
 
     def along(self, directions: Floats) -> Floats:
         """(8 Nv, P) derivative of ``values`` along changes of state dx/dp (dofs, P)."""
-        slopes = np.sqrt(self.weights)[:, None, None, None] * self.moved(directions)
-        return slopes.reshape(-1, directions.shape[1])
+        return self.moved(directions).reshape(-1, directions.shape[1])
 
     def moved(self, directions: Floats) -> Floats:
         """(Nv, 4, 2, P) derivative of ``difference`` along changes of state dx/dp (dofs, P)."""
@@ -256,14 +255,14 @@ def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "pro
         )
     z = target_features(torso, trial.view, corners, orientation)
     rows = vertebra_rows(torso, corners)
-    weights = np.sum(corners.quality, axis=1) / np.maximum(corners.usable.sum(1), 1)
+    quality = np.sum(corners.quality, axis=1) / np.maximum(corners.usable.sum(1), 1)
     shares = silhouette_shares(torso, trial.view, torso.rest_pose)
     return Target(
         trial,
         read_only("rows", rows, (None,), FitError, np.int64),
         read_only("bones", torso.vertebra_bones[rows], (None,), FitError, np.int64),
         read_only("targets", z, (len(rows), *FEATURE_SHAPE), FitError),
-        read_only("weights", weights, (len(rows),), FitError),
+        read_only("quality", quality, (len(rows),), FitError),
         shares,
         used_corners(torso, corners),
         orientation,
@@ -275,7 +274,7 @@ def residuals(torso: TorsoModel, target: Target, state: TorsoState) -> Residuals
     found = state_features(torso, target.trial.view, state, target.shares, target.orientation, target.used)
     rows = target.rows
     difference = found.z[rows] - target.z
-    return Residuals(difference, found.jacobian[rows], target.bones, target.weights)
+    return Residuals(difference, found.jacobian[rows], target.bones, target.quality)
 
 
 def undetermined_vertebrae(torso: TorsoModel, target: Target) -> tuple[str, ...]:

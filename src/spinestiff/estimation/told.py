@@ -93,7 +93,7 @@ def trial_warnings(asked: WeighedProblem, default: Evaluation | None, point: Eva
         stood = _where_stood(asked, i)
         measured = stood[target.rows] - rest
         simulated = np.where(np.isnan(measured), 0.0, (default or point).residuals[i].difference - rest)
-        if np.einsum("v,vki,vki->", target.weights, np.nan_to_num(measured), simulated) < 0.0:
+        if np.einsum("v,vki,vki->", target.quality, np.nan_to_num(measured), simulated) < 0.0:
             found.append(f"{name}: the spine moved against the push; check the side of the push and of the picture")
         square = undetermined_vertebrae(problem.torso, target)
         if square:

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from spinestiff.mechanics.terms import PointSprings
 from spinestiff.normal import HALF_WIDTH_95
 from spinestiff.study.judgement.limits import LIMITS
 from spinestiff.study.refits import converged
+from spinestiff.study.trials import given_priors
 from spinestiff.subject.phantom_record import CORNERS_FILE, PHANTOM_FILE, FrameRecord, JointRecord, PhantomRecord
 from spinestiff.subject.record_reading import read_record
 
@@ -280,13 +281,14 @@ def analyse(record: PhantomRecord, images: Sequence[ImageCorners]) -> PhantomRes
     trials = [_trial(phantom, frame, image) for frame, image in zip(record.frames, images)]
     fitted = [trial for frame, trial in zip(record.frames, trials) if frame.use == "fit"]
     names = ("lateral_bending",) if record.rubber is None else ("lateral_bending", "tissue")
+    known = {"tracking_mm": record.picture.corner_sd_mm, **record.errors}
     fit = converged(
         fit_stiffness(
             phantom.problem,
             fitted,
             names,
             start=dict.fromkeys(names, START),
-            priors=_priors(record),
+            priors=given_priors(known, BENCH, f"{PHANTOM_FILE}: errors"),
             taped=True,
             extent="intervals",
         )
@@ -334,15 +336,6 @@ def _joints_sd(record: PhantomRecord, joints: Sequence[BenchJoint]) -> float:
     """Relative standard deviation of the joints' mean stiffness."""
     stiffness, own = np.array([(joint.stiffness, joint.sd) for joint in joints]).T
     return float(np.hypot(np.linalg.norm(stiffness * own) / stiffness.sum(), record.bench_scale_sd))
-
-
-def _priors(record: PhantomRecord) -> Priors:
-    known = {field.name for field in fields(Priors)} - {"trunk_power"}
-    strange = [name for name in record.errors if name not in known]
-    if strange:
-        raise SubjectError(f"{PHANTOM_FILE}: errors: unknown '{strange[0]}'; known are {', '.join(sorted(known))}")
-    given: dict[str, Any] = {"tracking_mm": record.picture.corner_sd_mm, **record.errors}
-    return replace(BENCH, **given)
 
 
 def _trial(phantom: Phantom, frame: FrameRecord, image: ImageCorners) -> Trial:

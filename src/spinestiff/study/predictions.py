@@ -331,11 +331,12 @@ def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
             except EquilibriumError:
                 return None
             state, part = equilibrium.state, residuals(pushes.torso, frame.target, equilibrium.state)
+            sure = np.sqrt(np.repeat(part.quality, 8)) / priors.annotation_mm
             columns = part.along(placed(tangent)) * sds
             away = (found[places] - expected[places]) / sds
-            # As sure of a corner as of one set by hand.
-            rows = np.vstack([columns / priors.annotation_mm, np.eye(len(unknown))])
-            step = np.linalg.lstsq(rows, -np.concatenate([part.values / priors.annotation_mm, away]), rcond=None)[0]
+            # As sure of a corner as of one set by hand, and less where tracking is.
+            rows = np.vstack([sure[:, None] * columns, np.eye(len(unknown))])
+            step = np.linalg.lstsq(rows, -np.concatenate([sure * part.values, away]), rcond=None)[0]
             if np.abs(step).max() < FITTED_TO:
                 return Solved.of(equilibrium)
             found[places] += sds * step

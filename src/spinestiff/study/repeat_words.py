@@ -54,13 +54,19 @@ def change_words(change: Change, of: Repeated = "visits") -> str:
         return f"{what}: can't be told; an estimate is doubtful, or its radiographs do not determine the ratio"
     ends = (change.factor, change.low, change.high)
     factor, low, high = ends if change.factor >= 1.0 else (1.0 / ends[0], 1.0 / ends[2], 1.0 / ends[1])
-    size = f"a factor of {number(factor)} ({number(low, 2)} to {number(high, 2)})"
+    size = f"a factor of {number(factor)} ({_beside_one(low)} to {_beside_one(high)})"
     if of == "annotators":
         found = "disagree by more than annotation explains" if change.verdict == "changed" else "agree"
         return f"{what}: annotations {found}, {size}"
     if change.verdict == "changed":
         return f"{what}: changed, {'stiffer' if change.factor > 1.0 else 'softer'} by {size}"
     return (
-        f"{what}: no change shown ({number(change.low, 2)} to {number(change.high, 2)} times as stiff); one by less "
-        f"than a factor of {number(change.detectable_factor)} would not show"
+        f"{what}: no change shown ({_beside_one(change.low)} to {_beside_one(change.high)} times as stiff); one by "
+        f"less than a factor of {number(change.detectable_factor)} would not show"
     )
+
+
+def _beside_one(factor: float) -> str:
+    """With two digits, and with as many more as it takes to say on which side of 1 it lies."""
+    texts = (number(factor, digits) for digits in range(2, 7))
+    return next((text for text in texts if float(text) != 1.0), number(factor, 2))

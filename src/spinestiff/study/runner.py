@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
-from spinestiff.errors import SubjectError
+from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import check_writable, file_digest
 from spinestiff.observer import Observer, heard
 from spinestiff.study import steps as step_functions
@@ -130,7 +130,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "response": Step(
         step_functions.response_step,
-        (XRAY, FORCES, REST_MARKS),
+        (XRAY, FORCES, SUPPORTS, REST_MARKS),
         ("rest",),
         ("tracked.json",),
         lambda visit: ("response.json", RESPONSE_FILE),
@@ -231,9 +231,12 @@ def run_steps(
 
     Raises
     ------
+    OptionError : no such step.
     SpinestiffError : the first step that fails; what was written before stays. Before any step, where results can't be
         written.
     """
+    if strange := [name for name in steps if name not in known]:
+        raise OptionError(f"no step '{strange[0]}'; wanted some of {', '.join(known)}")
     say = heard(observer, _log)
     if force:
         visit = replace(visit, settings=replace(visit.settings, redo=True))

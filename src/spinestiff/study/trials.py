@@ -27,6 +27,7 @@ from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.words import counted
 
 LEVEL = Rig()
+USUAL = Priors()
 SUPPORTS: Mapping[str, str] = {"obliquity": "pelvis", "shoulder": "shoulder"}
 """What is measured of supports (``Trial.supports``), and of which."""
 ODD_SHARE = 0.2
@@ -79,17 +80,22 @@ def usual_priors() -> dict[str, float]:
     return {name: value for name, value in asdict(Priors()).items() if name != "trunk_power"}
 
 
-def given_priors(given: Mapping[str, float]) -> Priors:
-    """The usual priors with those of ``subject.json``. Raises SubjectError for one that there is not, or can't be."""
-    usual = usual_priors()
+def given_priors(given: Mapping[str, float], usual: Priors = USUAL, where: str = "priors") -> Priors:
+    """The usual priors with those that a file gives under the key ``where``.
+
+    Raises
+    ------
+    SubjectError : one that there is not, or that can't be.
+    """
+    known = usual_priors()
     for name in given:
-        if name not in usual:
-            raise SubjectError(f"priors.{name}: unknown prior; wanted one of {', '.join(sorted(usual))}")
+        if name not in known:
+            raise SubjectError(f"{where}.{name}: unknown prior; wanted one of {', '.join(sorted(known))}")
     try:
         changed: dict[str, Any] = dict(given)
-        return replace(Priors(), **changed)
+        return replace(usual, **changed)
     except FitError as error:
-        raise SubjectError(str(error)) from None
+        raise SubjectError(f"{where}: {error}") from None
 
 
 @dataclass(frozen=True)

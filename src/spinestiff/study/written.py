@@ -116,7 +116,7 @@ def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: 
         ratios=ratios,
         intervals="none" if fit.likely is None else "profile" if fit.profiled else "linear",
         profiles=_profiles(fit),
-        interval_rise=0.5 * region_rise(1) if fit.profiled else None,
+        interval_rise=0.5 * region_rise(1) if fit.likely is not None and fit.profiled else None,
         population=visit.population,
         held={} if fit.weighed is None else dict(fit.weighed.held),
         data_sd_log=data_sd,

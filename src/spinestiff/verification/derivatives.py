@@ -407,8 +407,7 @@ def image_loss() -> Iterator[Check]:
         part = residuals(torso, target, state)
         direction = random.normal(size=(3, 6)) * [1, 1, 1, 0.03, 0.03, 0.03]
         z = _features_oracle(torso, view, state, shares, "procrustes", 1j * STEP * direction)
-        weights = target.weights[:, None, None]
-        wanted = float((0.5 * np.sum(weights * (z - target.z) ** 2)).imag / STEP)
+        wanted = float((0.5 * np.sum((z - target.z) ** 2)).imag / STEP)
         # A geometry sees the silhouette of each state.
         shown = _corners_oracle(torso, view, state, None, 1j * STEP * direction)
         pulled = float((0.5 * np.sum((shown - places) ** 2)).imag / STEP)

@@ -30,6 +30,9 @@ BEAT_S = 0.4
 GRACE_S = 3.0
 LARGEST_LOG = 4 * 2**20
 """Bytes."""
+_OWN_WORDS = frozenset(
+    {"rib", "push", "pushes", "frame", "rest", "subject", "tissue", "bending", "mesh", "fine", "coarse"}
+)
 
 
 def start_job(table: Path, job: str, folder: Path, arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
@@ -113,8 +116,8 @@ def end_group(process: subprocess.Popen[bytes]) -> None:
 def _keep_log(process: subprocess.Popen[bytes], folder: Path, log: Path) -> None:
     """Copy what the command says, without the folder's name: it may be a person's."""
     named = [re.escape(one) for one in sorted({str(folder), str(folder.resolve())}, key=len, reverse=True)]
-    # A name of two characters is no person's, and stands in numbers.
-    named += [rf"(?<![\w.-]){re.escape(folder.name)}(?![\w-])"] if len(folder.name) > 2 else []
+    # What reads as a number, a vertebra or a word of the program's own is no person's, and stands in what is said.
+    named += [rf"(?<![\w.-]){re.escape(folder.name)}(?![\w-])"] if _may_name(folder.name) else []
     hidden = re.compile("|".join(named))
     assert process.stdout is not None
     written = 0
@@ -129,6 +132,12 @@ def _keep_log(process: subprocess.Popen[bytes], folder: Path, log: Path) -> None
             if file is not None and written < LARGEST_LOG:
                 with contextlib.suppress(OSError):
                     file.write(content)
+
+
+def _may_name(folder: str) -> bool:
+    """Whether the name of a folder by itself may tell whose it is."""
+    plain = folder.casefold()
+    return len(folder) > 2 and plain not in _OWN_WORDS and not re.fullmatch(r"[\d.,]+|[tl]\d{1,2}", plain)
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+from spinestiff.annotate.draft import DRAFT_FILE
 from spinestiff.errors import InUseError, RadiographError, SubjectError
 from spinestiff.files import read_json, trouble
 from spinestiff.formats import json_text
@@ -34,6 +35,7 @@ LEFT_OUT = {
     "torso": "a torso of the subject's own bones",
     "skin_scan": "a scan of the skin",
     "markers": "markers on the skin",
+    DRAFT_FILE: "marks that are not complete yet",
 }
 README = "README.txt"
 _PERSONAL = frozenset({"id", "pushes", "torso", "skin_scan", "schema_version"})
@@ -158,8 +160,12 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
         content |= files_
         pushes.append(new)
     left_out |= {key for key in ("torso", "skin_scan") if values.get(key) is not None}
+    if (folder / DRAFT_FILE).exists():
+        left_out.add(DRAFT_FILE)
     kept = {name: value for name, value in values.items() if name not in _PERSONAL and name not in LEFT_OUT}
-    record = {**kept, "schema_version": values["schema_version"], "id": "subject", "pushes": pushes}
+    # Of its own: visits with one id are taken for visits of one person.
+    name = f"subject-{secrets.token_hex(4)}"
+    record = {**kept, "schema_version": values["schema_version"], "id": name, "pushes": pushes}
     for told in XRAY_KEYS:
         if of_images := (record.get("xray") or {}).get(told):
             record["xray"] = {**record["xray"], told: _renamed(of_images, names)}

@@ -30,6 +30,7 @@ from spinestiff.workbench.marks import (
     texts_of,
     write_changed,
 )
+from spinestiff.workbench.owner import Owner
 
 
 @dataclass(frozen=True)
@@ -149,21 +150,21 @@ def _entails(folder: Path, removed: RemovedPush) -> list[str]:
     return lines
 
 
-def record_of(subject: str, removed: RemovedPush) -> dict[str, Any]:
-    """As JSON; ``subject`` is the name of its folder."""
+def record_of(owner: Owner, removed: RemovedPush) -> dict[str, Any]:
+    """As JSON."""
     marks = {image: vars(one) for image, one in removed.marks.items()}
-    return {"subject": subject, "position": removed.position, "push": dict(removed.push), "marks": marks}
+    return {**owner.record, "position": removed.position, "push": dict(removed.push), "marks": marks}
 
 
-def read_removed(record: Any) -> tuple[str, RemovedPush]:
-    """The name of the subject's folder, and its push. Raises SubjectError where it is not as ``record_of`` made it."""
+def read_removed(record: Any) -> tuple[Owner, RemovedPush]:
+    """Whose it was, and the push. Raises SubjectError where it is not as ``record_of`` made it."""
     try:
-        subject, position, push = record["subject"], record["position"], record["push"]
+        owner, position, push = Owner.of_record(record), record["position"], record["push"]
         marks = {image: Marks(**one) for image, one in record["marks"].items()}
         json.dumps(push["id"])
-        whole = Path(subject).name == subject and isinstance(position, int) and position >= 0
-    except (KeyError, TypeError, AttributeError):
+        whole = isinstance(position, int) and position >= 0
+    except (KeyError, TypeError, AttributeError, SubjectError):
         whole = False
     if not whole:
         raise SubjectError("this push's record in the trash is damaged; it can't be put back")
-    return subject, RemovedPush(position, push, marks)
+    return owner, RemovedPush(position, push, marks)

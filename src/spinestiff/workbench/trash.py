@@ -24,6 +24,7 @@ from spinestiff.subject.intake.adding import check_patient, read_standing
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import REST_IMAGES, SUBJECT_FILE
 from spinestiff.workbench.marks import Marks
+from spinestiff.workbench.owner import Owner
 from spinestiff.workbench.push_removal import RemovedPush, read_removed, record_of, remove_push, return_push
 from spinestiff.workbench.replacing import exchange
 from spinestiff.workbench.rooms import KEY, Root
@@ -33,9 +34,9 @@ RECORD, PUSH_RECORD = "radiograph.json", "push.json"
 
 @dataclass(frozen=True)
 class Replaced:
-    """A rest radiograph in the trash: the name of the subject's folder, which image it was, what was marked in it."""
+    """A rest radiograph in the trash: whose it was, which image, what was marked in it."""
 
-    subject: str
+    owner: Owner
     image: str
     marks: Marks
 
@@ -81,10 +82,11 @@ class Trash:
         ------
         SpinestiffError : as ``replacing.exchange``; all is as it was then.
         """
+        owner = Owner.of(folder)
         with self._new_place() as place:
 
             def keep(gone: Marks) -> Path:
-                write_json(place / RECORD, {"subject": folder.name, "image": image, "marks": asdict(gone)})
+                write_json(place / RECORD, {**owner.record, "image": image, "marks": asdict(gone)})
                 return place / Path(REST_IMAGES[image]).name
 
             exchange(folder, image, source, sha256, marks or Marks(), keep)
@@ -97,10 +99,11 @@ class Trash:
         ------
         SpinestiffError : as ``push_removal.remove_push``; all is as it was then.
         """
+        owner = Owner.of(folder)
         with self._new_place() as place:
 
             def keep(removed: RemovedPush) -> None:
-                write_json(place / PUSH_RECORD, record_of(folder.name, removed))
+                write_json(place / PUSH_RECORD, record_of(owner, removed))
 
             return place.name, remove_push(folder, push, keep)
 
@@ -124,12 +127,12 @@ class Trash:
         bare = {"image": None, "push": None, "vertebrae": 0}
         try:
             if (place / PUSH_RECORD).is_file():
-                name, removed = self._push(place)
-                return {**bare, "name": name, "push": removed.name, "vertebrae": removed.vertebrae}
+                owner, removed = self._push(place)
+                return {**bare, "name": owner.subject, "push": removed.name, "vertebrae": removed.vertebrae}
             if (place / RECORD).is_file():
                 replaced = self._replaced(place)
                 vertebrae = replaced.marks.vertebrae
-                return {**bare, "name": replaced.subject, "image": replaced.image, "vertebrae": vertebrae}
+                return {**bare, "name": replaced.owner.subject, "image": replaced.image, "vertebrae": vertebrae}
         except SpinestiffError:
             what = "push" if (place / PUSH_RECORD).is_file() else "radiograph"
             return {**bare, "name": f"a {what} that can't be put back"}
@@ -145,15 +148,15 @@ class Trash:
         Raises
         ------
         NotThere : nothing of this key.
-        SubjectError : the name of the subject is taken; the subject of a radiograph or push is not there, or is another
-            patient's; otherwise as ``replace`` and ``push_removal.return_push``.
+        SubjectError : the name of the subject is taken; the subject of a radiograph or push is not there, or another
+            one is there; otherwise as ``replace`` and ``push_removal.return_push``.
         """
         place = self._place(key)
         if (place / PUSH_RECORD).is_file():
-            name, removed = self._push(place)
-            return_push(self._standing(name), removed)
+            owner, removed = self._push(place)
+            return_push(self._standing(owner), removed)
             shutil.rmtree(place)
-            return self.root.key_of(name), None
+            return self.root.key_of(owner.subject), None
         if not (place / RECORD).is_file():
             inside = self._subject(place)
             target = self.root.free(inside.name)
@@ -161,20 +164,20 @@ class Trash:
             place.rmdir()
             return self.root.key_of(target.name), None
         replaced = self._replaced(place)
-        folder = self._standing(replaced.subject)
+        folder = self._standing(replaced.owner)
         file = place / Path(REST_IMAGES[replaced.image]).name
         digest = _checked(folder, replaced.image, file)
         gone = self.replace(folder, replaced.image, file, digest, replaced.marks)
         shutil.rmtree(place)
-        return self.root.key_of(replaced.subject), gone
+        return self.root.key_of(replaced.owner.subject), gone
 
     def subject_of(self, key: str) -> str | None:
         """The key of the subject that a radiograph or push belonged to; None for a subject. Raises NotThere,
         SubjectError."""
         place = self._place(key)
         if (place / PUSH_RECORD).is_file():
-            return self.root.key_of(self._push(place)[0])
-        return self.root.key_of(self._replaced(place).subject) if (place / RECORD).is_file() else None
+            return self.root.key_of(self._push(place)[0].subject)
+        return self.root.key_of(self._replaced(place).owner.subject) if (place / RECORD).is_file() else None
 
     def delete(self, key: str) -> None:
         """Delete a subject, a radiograph or what is known of a push for good. Raises NotThere."""
@@ -200,14 +203,15 @@ class Trash:
     def _subject(self, place: Path) -> Path:
         return listed(place, SubjectError)[0]
 
-    def _standing(self, name: str) -> Path:
+    def _standing(self, owner: Owner) -> Path:
         """The folder of a subject that something belonged to. Raises SubjectError."""
-        folder = self.root.path / name
+        folder = self.root.path / owner.subject
         if not (folder / SUBJECT_FILE).is_file() or folder.is_symlink():
-            raise SubjectError(f"the subject {name} is not there, or no longer; put it back first")
+            raise SubjectError(f"the subject {owner.subject} is not there, or no longer; put it back first")
+        owner.require(folder)
         return folder
 
-    def _push(self, place: Path) -> tuple[str, RemovedPush]:
+    def _push(self, place: Path) -> tuple[Owner, RemovedPush]:
         """Raises SubjectError where the record is not as ``remove_push`` wrote it."""
         return read_removed(read_json(place / PUSH_RECORD))
 
@@ -215,10 +219,9 @@ class Trash:
         """Raises SubjectError where the record is not as ``replace`` wrote it."""
         record = read_json(place / RECORD)
         try:
-            found = Replaced(record["subject"], record["image"], Marks(**record["marks"]))
-            file = place / Path(REST_IMAGES[found.image]).name
-            whole = Path(found.subject).name == found.subject and file.is_file()
-        except (KeyError, TypeError):
+            found = Replaced(Owner.of_record(record), record["image"], Marks(**record["marks"]))
+            whole = (place / Path(REST_IMAGES[found.image]).name).is_file()
+        except (KeyError, TypeError, AttributeError, SubjectError):
             whole = False
         if not whole:
             raise SubjectError("this radiograph's record in the trash is damaged; it can't be put back")

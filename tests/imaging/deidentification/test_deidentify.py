@@ -275,6 +275,7 @@ def test_look_up_tables_are_as_long_as_they_say(tmp_path):
     ("change", "why"),
     [
         ({"SOPClassUID": "1.2.840.10008.5.1.4.1.1.88.11"}, "no radiograph"),
+        ({"SOPClassUID": "1.2.840.10008.5.1.4.1.1.12.2.1"}, "an enhanced file; export it as the plain kind, XA or RF"),
         ({"SOPClassUID": "1.2.840.10008.5.1.4.1.1.104.1"}, "no radiograph"),
         ({"EncapsulatedDocument": b"%PDF"}, "holds a document"),
         ({"ContentSequence": [pydicom.Dataset()]}, "holds a document"),

@@ -95,6 +95,25 @@ def overlaps(figure: Figure) -> int:
     return count
 
 
+def test_names_stay_where_numbers_would_go() -> None:
+    figure = Figure(figsize=(2.0, 2.0), layout="constrained")
+    axis = figure.subplots()
+    axis.set_xticks(range(9), [f"visit of {number}" for number in range(9)], fontsize=9)
+    assert overlaps(figure) > 0
+    part_tick_labels(figure)
+    assert all(tick.label1.get_visible() for tick in axis.xaxis.get_major_ticks())
+
+
+def test_every_panel_that_has_none_below_it_shows_its_degrees() -> None:
+    one = TiltChange("main", ("T5", "T6"), np.array([-3.0, 4.0]), {"fit": np.ones(2)}, 0.5)
+    figure = draw_tilt_changes([one] * 5)
+    figure.draw_without_rendering()
+    shown = [axis for axis in figure.axes if axis.get_visible()]
+    assert len(shown) == 5
+    for axis in shown:
+        assert any(label.get_visible() and label.get_text() for label in axis.get_xticklabels())
+
+
 def test_tick_labels_never_touch() -> None:
     random = np.random.default_rng(2)
     touched = 0

@@ -134,6 +134,12 @@ def test_refused_additions_change_nothing(girl, tmp_path, monkeypatch):
     export(tmp_path / "other" / "I1", patient="P2", PatientName="ROE^RICHARD")
     with pytest.raises(SubjectError, match="of another patient than the subject's"):
         added(girl, tmp_path / "other")
+    # Without their patients radiographs tell by pseudonyms.
+    nameless = {"PatientIdentityRemoved": "YES", "PatientName": ""}
+    mine, other = (collect([export(tmp_path / name, patient=name, **nameless)])[0] for name in ("p-1", "p-2"))
+    adding.check_patient(mine, mine)
+    with pytest.raises(SubjectError, match="have another pseudonym than the subject's; make a new subject of them or"):
+        adding.check_patient(mine, other)
     addition = adding.sort_addition(standing, found)
     data, _ = adding.added_data(standing, addition, {})
     with sole_run(girl), pytest.raises(InUseError):

@@ -30,6 +30,8 @@ CLASSES = frozenset(
     )
 )
 """Kinds of files that are pictures of one X-ray system (SOP classes, PS3.4 B.5)."""
+ENHANCED = frozenset(f"1.2.840.10008.5.1.4.1.1.{number}" for number in ("12.1.1", "12.2.1"))
+"""Enhanced X-Ray Angiographic and Radiofluoroscopic, which are read, but not de-identified."""
 
 
 def one_of(*words: str) -> Rule:

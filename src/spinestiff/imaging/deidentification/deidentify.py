@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from spinestiff import __version__
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.deidentification.allow_list import CLASSES, KEPT, VIEW_CODES, listed, one_of, ruled
+from spinestiff.imaging.deidentification.allow_list import CLASSES, ENHANCED, KEPT, VIEW_CODES, listed, one_of, ruled
 from spinestiff.imaging.deidentification.codestreams import without_comments
 from spinestiff.imaging.deidentification.pseudonyms import Key, moment
 from spinestiff.imaging.dicom.decoding import coded_frames, uncoded
@@ -133,6 +133,8 @@ def _deidentified(old: Dataset, key: Key, burned_in_ok: bool) -> Deidentified:
 def _check_kind(old: Dataset) -> None:
     """Only kinds of files that are pictures, so that reports, documents and mixtures never pass."""
     if str(old.get("SOPClassUID", "")) not in CLASSES:
+        if str(old.get("SOPClassUID", "")) in ENHANCED:
+            raise RadiographError("an enhanced file; export it as the plain kind, XA or RF")
         raise RadiographError("no radiograph; wanted CR, DX, RF, XA or grey secondary capture")
     if str(old.file_meta.TransferSyntaxUID) not in (*_PLAIN, *_CODED, _RLE):
         raise RadiographError("its transfer syntax isn't supported; export it uncompressed")

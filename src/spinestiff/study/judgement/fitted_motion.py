@@ -89,7 +89,7 @@ class _Motion:
         seen = tuple(names[i] for i in kept)
         moved2 = np.mean(np.sum((end - start) ** 2, -1), -1)
         left = part.difference[kept] - _at_rest(pushes, item)[rows]
-        return cls(item.trial.label, seen, rows, part.weights[kept], left, moved2)
+        return cls(item.trial.label, seen, rows, part.quality[kept], left, moved2)
 
     @property
     def left2(self) -> Floats:

@@ -123,5 +123,6 @@ def draw_tilt_changes(changes: Sequence[TiltChange], columns: int = 4) -> Figure
             axis.xaxis.set_major_locator(MaxNLocator(5))
             axis.set_title(change.title, fontsize=10)
             axis.set_xlabel("change of tilt, degrees")
+            axis.tick_params(labelbottom=True)
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure

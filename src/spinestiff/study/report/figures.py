@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,11 +83,18 @@ def _saved(figure: Figure, kinds: Sequence[str]) -> list[bytes]:
 
 
 def part_tick_labels(figure: Figure) -> None:
-    """Hide each tick label that would touch the one before it; the tick itself stays, and so does the layout."""
+    """Hide each number of an axis that would touch the one before it; the tick itself stays, and so does the layout.
+
+    Names, which stand for something of their own each, all stay.
+    """
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # what was worked out just now holds for what follows
     for axes in figure.axes:
         for side, along in ((axes.xaxis, 0), (axes.yaxis, 1)):
+            if isinstance(side.get_major_locator(), FixedLocator) and isinstance(
+                side.get_major_formatter(), FuncFormatter
+            ):
+                continue  # so ``set_xticks`` and ``set_yticks`` keep names
             last = -np.inf
             labels = [tick.label1 for tick in side.get_major_ticks() if tick.label1.get_text()]
             boxes = [(label, label.get_window_extent()) for label in labels if label.get_visible()]

@@ -190,6 +190,11 @@ def check_patient(own: Sequence[Exported], found: Sequence[Exported]) -> None:
         mine, other = (read_identity(files[0].path) for files in (own, found))
         if mine.is_of(other) is False:
             raise SubjectError("the radiographs are of another patient than the subject's; make a new subject of them")
+        if mine.removed and other.removed and not mine.may_be_of(other):
+            raise SubjectError(
+                "the radiographs have another pseudonym than the subject's; make a new subject of them or, if they are "
+                "of the same patient, de-identify them with the key of the others"
+            )
 
 
 def _number_of(standing: Standing, push: TablePush) -> int | None:
@@ -353,13 +358,16 @@ def add_view(standing: Standing, number: int, view: Mapping[str, Any], files: Se
     Raises
     ------
     SubjectError : no such push, another number of radiographs, a view that the schema does not allow, radiographs of
-        another patient; otherwise as ``write_addition``.
+        another patient or that the subject has; otherwise as ``write_addition``.
     """
     push = _push_of(standing, number)
     place = _free_place(standing.folder, side_places(push["id"], view.get("id"))[len(files) > 1])
     record = parse_record(json.dumps({**view, "files": place}), "the view", FurtherViewRecord)
+    own = Album(standing.files)
     for one in files:
         check_patient(standing.files, [one])
+        if (twin := own.same(one)) is not None:
+            raise SubjectError(f"{one.name}: the same image as {twin.name}, which the subject has")
     count, wanted = sum(one.frames for one in files), len(record.frames)
     if count != wanted or (len(files) > 1 and any(one.frames > 1 for one in files)):
         raise SubjectError(
