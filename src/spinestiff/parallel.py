@@ -37,6 +37,11 @@ def threads() -> int:
             return int(said)
         if said and name == VARIABLES[0]:
             raise OptionError(f"{name}={said}: wanted a whole number above 0, e.g. {name}=2")
+    return processors()
+
+
+def processors() -> int:
+    """How many processors this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -38,7 +38,7 @@ def application(session: AnnotationSession) -> FastAPI:
     """The page and its data, still unguarded: what ``serve`` puts behind ``Guard``."""
     app = bare_application()
     for path in PAGE:
-        app.add_api_route(path, _shipped(path), methods=["GET"])
+        app.add_api_route(path, page_of(path), methods=["GET"])
     follower = Follower(session)
 
     @app.get("/api/session")
@@ -158,7 +158,8 @@ def guarded_application(session: AnnotationSession, port: int) -> tuple[Guard, s
     return Guard(application(session), Access(token, own_origins(port))), f"http://{LOOPBACK}:{port}/#{token}"
 
 
-def _shipped(path: str) -> Callable[[], Response]:
+def page_of(path: str) -> Callable[[], Response]:
+    """What answers a request for a part of the page."""
     name, kind = PAGE[path]
     content = shipped("spinestiff.annotate", name)
 

@@ -15,9 +15,10 @@ from spinestiff.cohort.asked import Cohort, Limits, News, Summary
 from spinestiff.cohort.cluster import run_on_cluster
 from spinestiff.cohort.marker import Order
 from spinestiff.cohort.participants import read_participants
-from spinestiff.cohort.processes import processors, usual_memory_mb
+from spinestiff.cohort.processes import usual_memory_mb
 from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.errors import OptionError
+from spinestiff.parallel import processors
 from spinestiff.subject.program import program
 from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.words import counted

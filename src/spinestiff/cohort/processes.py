@@ -212,13 +212,6 @@ def worker_environment(target: Path) -> dict[str, str]:
     return found
 
 
-def processors() -> int:
-    """How many processors this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def usual_memory_mb(jobs: int) -> float | None:
     """Memory that one of so many processes side by side may take: its share of nine tenths; None where not told."""
     if not STATM.exists():

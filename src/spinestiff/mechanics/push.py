@@ -111,9 +111,8 @@ def push_heights(torso: TorsoModel, side: str, level: float) -> tuple[float, flo
     rest, marks = torso.rest_pose, torso.landmarks
     load = rib_load(torso, side, level, 1.0)
     share = np.abs(load.forces[:, 0])
-    held = 1 if side == "left" else 0
     return (
-        float(marks["humerus_head"].positions(rest)[held, 1]),
+        float(held_shoulder(torso, side).positions(rest)[0, 1]),
         float(marks["pelvis_belt"].positions(rest)[0, 1]),
         float(share @ load.points.positions(rest)[:, 1]),
     )

@@ -329,10 +329,10 @@ def _with_modulus(torso: TorsoModel, factor: float) -> TorsoModel:
 
 def _with_shape(visit: Visit, torso: TorsoModel, sign: int) -> TorsoModel:
     """The vertebrae one standard deviation along the leading mode of what is not known of them, the rest carried."""
-    record = np.array(read_outcome(visit.subject, GeometryRecord).covariance)
+    covariance = read_outcome(visit.subject, GeometryRecord).matrix
     positions = torso.rest_pose.bone_positions[torso.vertebra_bones]
     rotations = torso.rest_pose.bone_rotations[torso.vertebra_bones]
-    moved = sign * leading_mode(record.reshape(6 * len(record), -1), positions)
+    moved = sign * leading_mode(covariance, positions)
     return place_vertebrae(torso, positions + moved[:, :3], exp_so3(moved[:, 3:]) @ rotations)
 
 

@@ -10,6 +10,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.imaging.tracking import OBLIQUITY_LIMIT_DEG
+from spinestiff.mechanics.places import place_of_pelvis
 from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.words import counted
 
@@ -45,9 +46,7 @@ def support_notes(
         points = counted(len(pulling), "point")
         worst = f"most at {bone}, {most:.1f} N"
         found["wall"] = f"the back wall pulls at {points} ({worst}): the back would have left the wall there"
-    pelvis = torso.bone("pelvis")
-    turn = state.bone_rotations[pelvis] @ torso.rest_pose.bone_rotations[pelvis].T
-    obliquity = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
+    obliquity = float(np.degrees(place_of_pelvis(torso, state)))
     if abs(obliquity) > OBLIQUITY_LIMIT_DEG:
         found["pelvis"] = f"the pelvis tilts by {obliquity:+.1f} degrees (limit {OBLIQUITY_LIMIT_DEG:g})"
     return found

@@ -40,7 +40,7 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.places import place_of_pelvis
 from spinestiff.mechanics.push import push_heights
 from spinestiff.mechanics.sensitivity import Linearisation
-from spinestiff.mechanics.supports import Supports
+from spinestiff.mechanics.supports import Supports, held_shoulder
 from spinestiff.observer import Observer, heard
 from spinestiff.parallel import in_parallel
 from spinestiff.personalise.placing import place_vertebrae
@@ -427,10 +427,9 @@ class _Acquisition:
             )
         points: dict[str, list[list[float]]] = {}
         if held_against is not None:
-            for name, landmark in (("pelvis", "pelvis_belt"), ("shoulder", "humerus_head")):
-                seen = view.pixels(view.project(self.torso.landmarks[landmark].positions(rest))).round(2)
-                if name == "shoulder":
-                    seen = seen[[1 if held_against == "left" else 0]]
+            held = {"pelvis": self.torso.landmark("pelvis_belt"), "shoulder": held_shoulder(self.torso, held_against)}
+            for name, marked in held.items():
+                seen = view.pixels(view.project(marked.positions(rest))).round(2)
                 if self._shown(seen, view).all():
                     points[name] = seen.tolist()
         return ImageAnnotation.model_validate({"vertebrae": vertebrae, "supports": points})

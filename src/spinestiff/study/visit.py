@@ -6,8 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.regions import check_parameters, parameter_groups
 from spinestiff.anatomy.template import MESHES, template_torso
@@ -197,6 +195,5 @@ def pushes_on(visit: Visit, torso: TorsoModel, orientation: Orientation, method:
     record = visit.subject.record
     if method == "paper":
         record = record.model_copy(update={"pelvis": "level", "wall": "bilateral"})
-    covariance = np.array(read_outcome(visit.subject, GeometryRecord).covariance)
-    known = known_of(record, covariance.reshape(6 * len(covariance), -1))
+    known = known_of(record, read_outcome(visit.subject, GeometryRecord).matrix)
     return push_set(torso, visit.subject.pushes, tracked.pushes, orientation, rig_of(record), known)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+import numpy as np
+
+from spinestiff.arrays import Floats
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile, Pair, PoseRecord, Vector, ViewRecord
 from spinestiff.subject.records import VertebraName
 
@@ -69,3 +72,8 @@ class GeometryRecord(OutcomeFile):
     mesh: MeshRecord
     skin_scan: ScanRecord | None
     warnings: tuple[str, ...]
+
+    @property
+    def matrix(self) -> Floats:
+        """(6V, 6V) ``covariance``."""
+        return np.array(self.covariance).reshape(6 * len(self.covariance), -1)

@@ -16,6 +16,7 @@ from spinestiff.anatomy.axes import Axis, Unit, body_axes
 from spinestiff.anatomy.regions import check_parameters
 from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.dicom.millimetres import PIXEL_MM, SOURCE_MM
+from spinestiff.mechanics.loads import PUSH_DIRECTION
 from spinestiff.subject.record_reading import IDENTIFIER, WANTED_MARKER, Record, shown_value
 from spinestiff.words import counted
 
@@ -335,7 +336,7 @@ class PushRecord(Record):
     @property
     def sign(self) -> int:
         """+1 for a push from the patient's right, -1 from the left (towards a left or a right curve, Table 2)."""
-        return 1 if self.side == "right" else -1
+        return int(PUSH_DIRECTION[self.side])
 
     def frames_of(self, role: Role) -> tuple[int, ...]:
         """Indices of the frames with a role."""

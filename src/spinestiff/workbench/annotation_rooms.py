@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
 from pathlib import Path
 
-from fastapi import FastAPI, Response
+from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 
 from spinestiff.annotate.radiographs import pictures_on_disk
-from spinestiff.annotate.server import PAGE, application
+from spinestiff.annotate.server import PAGE, application, page_of
 from spinestiff.annotate.session import AnnotationSession
 from spinestiff.errors import NotThere, SpinestiffError
 from spinestiff.files import file_digest
 from spinestiff.loopback.asking import Told, bare_application
 from spinestiff.loopback.guard import App, Message, Receive, Send
-from spinestiff.loopback.serving import shipped
 from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.workbench.rooms import Root
 
@@ -35,7 +33,7 @@ class AnnotationRooms:
         self._lock = threading.Lock()
         self._page = bare_application()
         for path in PAGE:
-            self._page.add_api_route(path, _page(path), methods=["GET"])
+            self._page.add_api_route(path, page_of(path), methods=["GET"])
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
         """Answer a request: the page is the same for all, data are the subject's."""
@@ -63,13 +61,3 @@ class AnnotationRooms:
             while len(self._rooms) > MOST:
                 self._rooms.popitem(last=False)
             return self._rooms[folder][1]
-
-
-def _page(path: str) -> Callable[[], Response]:
-    name, kind = PAGE[path]
-    content = shipped("spinestiff.annotate", name)
-
-    def page() -> Response:
-        return Response(content(), media_type=kind)
-
-    return page

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,6 +15,7 @@ from spinestiff.study.report.log_picture import draw_log
 from spinestiff.subject.folder import Subject, check_radiograph_path
 from spinestiff.subject.intake.force_log import FORCE_UNITS, TIME_UNITS, find_columns, read_force_log, with_units
 from spinestiff.subject.intake.logged import put_beside
+from spinestiff.subject.outcome_parts import finite
 from spinestiff.words import push_named
 from spinestiff.workbench.page_words import page_words
 
@@ -68,11 +68,11 @@ def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> di
         "forces_n": logged.forces_n if logged.placed else None,
         "given": match.given,
         "why": match.why,
-        "offset_s": _finite(match.offset_s),
-        "low_s": _finite(match.low_s),
-        "high_s": _finite(match.high_s),
-        "open_n": _finite(match.open_n),
-        "explained": _finite(match.explained),
+        "offset_s": finite(match.offset_s),
+        "low_s": finite(match.low_s),
+        "high_s": finite(match.high_s),
+        "open_n": finite(match.open_n),
+        "explained": finite(match.explained),
         "picture": "data:image/png;base64," + base64.b64encode(picture).decode("ascii"),
     }
 
@@ -80,7 +80,3 @@ def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> di
 def _for_a_form(words: str, path: Path) -> str:
     """A message of the command line as the page says it."""
     return page_words(words.replace(f"{path}: ", "the log: ").replace(str(path), "the log"))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

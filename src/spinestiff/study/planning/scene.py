@@ -125,8 +125,7 @@ def _of_population(visit: Visit) -> Scene:
             f"{', '.join(visit.parameters)}; leave parameters out of subject.json until there is an estimate"
         )
     refuse_changed(subject, "personalise")
-    covariance = np.array(read_outcome(subject, GeometryRecord).covariance)
-    known = known_of(subject.record, covariance.reshape(6 * len(covariance), -1))
+    known = known_of(subject.record, read_outcome(subject, GeometryRecord).matrix)
     torso = torso_on(visit, "coarse")
     picture = read_rest(subject, "frontal")
     corners = image_corners(subject, "rest/frontal", picture.view)

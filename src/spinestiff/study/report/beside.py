@@ -17,6 +17,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.estimation.objective import Residuals, Target, residuals
 from spinestiff.estimation.sights import MarkerTarget, PedicleTarget, Sight, further_sights, sight_residuals
+from spinestiff.study.misfit import rms
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.figures import FIT, MEASURED, STYLE
 from spinestiff.study.report.frame_content import MODELS
@@ -74,14 +75,10 @@ def _error(predictions: Predictions, frame: Prediction, sight: Sight, model: str
     if isinstance(sight, MarkerTarget):
         start = predictions.before(frame.item, model)
         motions = None if start is None else _motions(predictions, frame, sight, start, state)
-        return None if motions is None else _rms(motions[2] - motions[1])
+        return None if motions is None else rms(motions[2] - motions[1])
     if isinstance(sight, Target):
         return residuals(predictions.pushes.torso, sight, state).rmse
-    return _rms(sight_residuals(predictions.pushes.torso, sight, state).difference)
-
-
-def _rms(apart: Floats) -> float:
-    return float(np.sqrt(np.mean(np.sum(apart**2, axis=-1))))
+    return rms(sight_residuals(predictions.pushes.torso, sight, state).difference)
 
 
 def _motions(
@@ -166,8 +163,7 @@ class Pedicles:
         if not len(self.measured):
             return ""
         errors = (
-            f"{MODELS[name].lower()} {fixed(_rms(points - self.measured))} mm"
-            for name, points in self.simulated.items()
+            f"{MODELS[name].lower()} {fixed(rms(points - self.measured))} mm" for name, points in self.simulated.items()
         )
         return f" Of {counted(len(self.measured), 'pedicle')}: {', '.join(errors)} (RMS)."
 
@@ -279,8 +275,8 @@ def _marker_pictures(predictions: Predictions) -> list[tuple[str, Figure, str, s
     if not shown:
         return []
     words = [
-        f"{one.title}: moved by {fixed(_rms(one.measured))} mm, the estimate is "
-        f"{fixed(_rms(one.simulated - one.measured))} mm off (RMS)"
+        f"{one.title}: moved by {fixed(rms(one.measured))} mm, the estimate is "
+        f"{fixed(rms(one.simulated - one.measured))} mm off (RMS)"
         for one in shown
     ]
     alt = f"Motion of skin markers in {counted(len(shown), 'frame')}, measured and simulated; {'; '.join(words)}."

@@ -24,6 +24,7 @@ from spinestiff.personalise.pose import align_view
 from spinestiff.study.paper import SUBJECTS
 from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.figures import as_png
+from spinestiff.study.report.placing import pixel_mm
 from spinestiff.study.report.seven_pictures import Shot, draw_models, draw_sequence
 from spinestiff.study.seven.page import Picture, Pictures, page_text
 from spinestiff.study.seven.participants import MAIN, STEPS
@@ -118,7 +119,7 @@ def _shots(visit: Visit) -> tuple[list[Shot], list[Shot]]:
             view = item.trial.view
             pixels = np.asarray(view.pixels(item.trial.corners.corners))
             title = f"{item.force_n:.0f} N"
-            sequence.append(Shot(title, film[item.frame].pixels, _scale(view), pixels))
+            sequence.append(Shot(title, film[item.frame].pixels, pixel_mm(view), pixels))
     return sequence, [_at_rest(visit, predictions.pushes.torso), *_held_out(predictions, film)]
 
 
@@ -152,12 +153,7 @@ def _shot(
     title: str, picture: Radiograph, view: XRayView, seen: Floats, made: Floats, torso: TorsoModel, state: TorsoState
 ) -> Shot:
     measured, simulated = (np.asarray(view.pixels(view.from_patient_plane(z))) for z in (seen, made))
-    return Shot(title, picture.pixels, _scale(view), measured, simulated, bone_shadow(torso, state, view))
-
-
-def _scale(view: XRayView) -> tuple[float, float]:
-    column, row = (float(v) for v in view.pixel_spacing / view.magnification)
-    return column, row
+    return Shot(title, picture.pixels, pixel_mm(view), measured, simulated, bone_shadow(torso, state, view))
 
 
 def bone_shadow(torso: TorsoModel, state: TorsoState, view: XRayView) -> Floats:

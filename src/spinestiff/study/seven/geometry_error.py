@@ -133,7 +133,7 @@ def off_step(error: GeometryError, visit: Visit, say: Observer) -> None:
             shaped = read_torso(visit.file(name))
             write_torso(visit.file(name), place_vertebrae(shaped, *moved_spine(shaped, size * unit), observer=say))
     count = len(spine)
-    told = np.array(record.covariance).reshape(6 * count, -1)
+    told = record.matrix
     rows = size * basis.reshape(6 * count, -1)
     covariance = nested((told + rows @ rows.T).reshape(count, 6, -1))
     found = {**record.model_dump(mode="json"), "rmse_mm": views, "covariance": covariance}

@@ -176,7 +176,10 @@ shoulder are where the training frames and their own marks say, never where vert
 
 TABLES_ABOUT = """Lines "paper" are printed, "ours" found, "truth" what the subjects were made of. Averages are
 those of the paper's tables (sizes in Tables 2, 3 and 6), over the subjects for which a line has a number; lines "paper"
-and "truth" are averaged over the subjects for which the line "ours" below them has one."""
+and "truth" are averaged over the subjects for which the line "ours" below them has one. All averages are taken anew
+from the columns, and may differ from the printed ones in the last digit. Lines have the paper's names; ours are by the
+weighed fit, whose ratio of bending scales the 20 joints between ribs and sternum, too, and whose ratio of tissue scales
+both Lamé parameters."""
 
 HELD_OUT_ABOUT = """Corner RMSE, mm, median (largest). "Place" is where a corner is, "motion" how far it went since
 the unloaded frame: the geometry's error is in the first alone. "Forecast" is the estimate with the errors that the

@@ -23,7 +23,7 @@ from spinestiff.formats import json_text
 from spinestiff.imaging.features import rmse, silhouette_shares, state_features, target_features, used_corners
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import rib_push
+from spinestiff.mechanics.loads import PUSH_DIRECTION, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.observer import Observer
 from spinestiff.personalise.placing import place_vertebrae
@@ -211,7 +211,7 @@ def _outcome(
         sex=participant.sex,
         height_cm=participant.height_cm,
         curve=participant.curve,
-        force_n=round(recipe.force_n * (1.0 if recipe.side == "right" else -1.0), 1),
+        force_n=round(recipe.force_n * PUSH_DIRECTION[recipe.side or "left"], 1),
         cobb_deg=round(truth["rest_cobb_deg"], 2),
         change_deg=truth["pushes"][MAIN][largest]["cobb_change_deg"]["signed"],
         truth=truth["ratios"],
