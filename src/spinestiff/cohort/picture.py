@@ -71,7 +71,7 @@ def _people(axis: Axes, found: StiffnessStatistics, title: str) -> None:
     axis.set_xlim(-0.8, len(ordered) - 0.2)
     axis.grid(visible=False, axis="x")
     if len(ordered) <= MOST_NAMED:
-        axis.set_xticks(places, [one.participant for one in ordered], rotation=90, fontsize=7.5)
+        axis.set_xticks(places, [one.participant for one in ordered], rotation=90, fontsize=min(7.5, 315.0 / len(ordered)))
     else:
         axis.set_xticks([])
         axis.set_xlabel(f"{len(ordered)} participants")
@@ -132,4 +132,5 @@ def _by_kind(axis: Axes, people: Sequence[Shrunken], given: Sequence[str], y: np
 
 def _broken(kind: str) -> str:
     """On lines as short as there is room for."""
-    return kind.replace("/", "/\n").replace("proximal ", "proximal\n").replace("main ", "main\n")
+    parts = kind.replace("thoracolumbar/", "thoraco-\nlumbar/\n")
+    return parts.replace("proximal ", "proximal\n").replace("main ", "main\n")

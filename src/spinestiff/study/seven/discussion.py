@@ -235,8 +235,8 @@ def points_of_results(outcomes: Sequence[SubjectOutcome]) -> list[str]:
         "**The stiffer the subject, the smaller the default's error of the Cobb angle.** Rank correlation "
         f"(fixed levels) {_say(by_cobb)}. {judged('below 0', None if by_cobb is None else by_cobb < 0.0)}",
         f"**Tissue is more sensitive to the force than bending.** {_say(tissue, 1, ' %')} against "
-        f"{_say(bending, 1, ' %')} for 10 % of force, both Lamé parameters tied; with λ kept, as in the paper, the demo's "
-        "tissue is the more sensitive ([sensitivity](sensitivity.md#force-the-papers-table-7)). "
+        f"{_say(bending, 1, ' %')} for 10 % of force, both Lamé parameters tied; with λ kept, as in the paper, the "
+        "demo's tissue is the more sensitive ([sensitivity](sensitivity.md#force-the-papers-table-7)). "
         + judged(
             "the mean of tissue is above that of bending",
             None if tissue is None or bending is None else tissue > bending,
