@@ -85,7 +85,7 @@ class Priors:
     tracking_shared_mm, tracking_length : of the same, shared with neighbours over so many vertebrae.
     tracking_factor : of the size of these tracking errors, in log; restricted likelihood tells the factor.
     tracking_drag : of how far tracked vertebrae are taken along by what lies before and behind them, relative to the
-        spine's motion sideways; alike in all frames of a person, see ``noise`` (docs/tracking.md).
+        spine's motion sideways; alike in all frames of a visit, see ``noise`` (docs/tracking.md).
     level_smoothness : of the difference of the logs of neighbouring levels' ratios, where each level has one
         (``ratio_priors``); 0: nothing is held. A judgement: the representative motions of neighbouring levels in
         lateral bending (White and Panjabi 1990, as recalled) differ by 0.25 (root mean square).
