@@ -165,7 +165,7 @@ def silhouette_shares(torso: TorsoModel, view: XRayView, state: TorsoState) -> F
     """Where between the two box corners of each pair the silhouette has its corner, (V, 4) from -1 to 1.
 
     In a frontal view the pair is (anterior, posterior), in a lateral one (left, right); 1 is its first, 0 midway. See
-    ``imaging.silhouette``; the paper (4.1) takes the one of the two that is farther out, 1 or -1.
+    ``imaging.silhouette``; the paper (4.1) takes one of the two, 1 or -1.
 
     Take them in the rest pose and keep them through a fit: optical flow follows what was annotated in the first frame,
     and features stay smooth.
