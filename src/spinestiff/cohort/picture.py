@@ -71,7 +71,9 @@ def _people(axis: Axes, found: StiffnessStatistics, title: str) -> None:
     axis.set_xlim(-0.8, len(ordered) - 0.2)
     axis.grid(visible=False, axis="x")
     if len(ordered) <= MOST_NAMED:
-        axis.set_xticks(places, [one.participant for one in ordered], rotation=90, fontsize=min(7.5, 315.0 / len(ordered)))
+        axis.set_xticks(
+            places, [one.participant for one in ordered], rotation=90, fontsize=min(7.5, 315.0 / len(ordered))
+        )
     else:
         axis.set_xticks([])
         axis.set_xlabel(f"{len(ordered)} participants")

@@ -72,7 +72,7 @@ class FitEnd:
         return cls(fit.ratios.as_dict(), fit.standard_nuisances, found.tracking_factor, found.outlying)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Weighed(ShortRepr):
     """What only the weighed fit tells.
 

@@ -77,16 +77,16 @@ def linear_ratios(fit: WeighedFit, visited: Sequence[Place], limits: tuple[float
         interval_kind(*one, limits) for one in zip(best.tolist(), open_low.tolist(), open_high.tolist(), strict=True)
     )
     return Likely(
-        np.clip(low, *limits),
-        np.clip(high, *limits),
-        open_low,
-        open_high,
-        kinds,
-        (),
-        None,
-        _draws(fit, covariance, limits),
-        float(DRAWS),
-        Emulator([Place(fit.point, fit.slope.light), *visited], fit.weights),
+        low=np.clip(low, *limits),
+        high=np.clip(high, *limits),
+        open_low=open_low,
+        open_high=open_high,
+        kinds=kinds,
+        profiles=(),
+        region=None,
+        draws=_draws(fit, covariance, limits),
+        effective=float(DRAWS),
+        emulator=Emulator([Place(fit.point, fit.slope.light), *visited], fit.weights),
     )
 
 

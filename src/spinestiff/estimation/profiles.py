@@ -41,7 +41,7 @@ DRAWS, CANDIDATES = 500, 4000
 GRID = 61
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Likely(ShortRepr):
     """What the data leave of the ratios.
 

@@ -48,22 +48,22 @@ def told(
         budget = variance_budget(asked, found)
         changes = prior_changes(asked, found, known, limits, rough) if known else ()
     return Weighed(
-        _nuisances(asked, found),
-        found.point.evaluation.acts,
-        asked.p_value(found.point, found.slope),
-        found.weights.tracking_factor,
-        tuple(asked.outlying(found.weights.inflation)),
-        likely,
-        budget,
-        changes,
-        asked.ratio_prior.texts,
-        _data_sd(asked, found),
-        repeated_sds(asked, found),
-        repeated_sds(asked, found, annotation_alone=True),
-        best_known(found.point.log_ratios, _data_precision(asked, found)),
-        asked.log_likelihood(found.point, found.slope, found.weights),
-        known,
-        found.tilt,
+        nuisances=_nuisances(asked, found),
+        acts=found.point.evaluation.acts,
+        p_value=asked.p_value(found.point, found.slope),
+        tracking_factor=found.weights.tracking_factor,
+        outlying=tuple(asked.outlying(found.weights.inflation)),
+        likely=likely,
+        budget=budget,
+        changes=changes,
+        held=asked.ratio_prior.texts,
+        data_sd=_data_sd(asked, found),
+        visit_sd=repeated_sds(asked, found),
+        annotation_sd=repeated_sds(asked, found, annotation_alone=True),
+        best_known=best_known(found.point.log_ratios, _data_precision(asked, found)),
+        log_likelihood=asked.log_likelihood(found.point, found.slope, found.weights),
+        places=known,
+        tilt=found.tilt,
     )
 
 

@@ -86,7 +86,7 @@ class BenchJoint:
     sd: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """An estimate over the bench value, for ``part`` (the joints' mean, or rubber).
 
@@ -362,7 +362,20 @@ def _comparison(name: str, fit: StiffnessFit, bench: float, bench_sd: float) -> 
     if any(opens) or fit.status is not FitStatus.CONVERGED:
         verdict = "can't be told"
     part, unit = NAMES[name]
-    return Comparison(part, bench, unit, ratio, fit_low, fit_high, bench_sd, low, high, verdict, *opens)
+    return Comparison(
+        part=part,
+        bench=bench,
+        unit=unit,
+        ratio=ratio,
+        fit_low=fit_low,
+        fit_high=fit_high,
+        bench_sd=bench_sd,
+        low=low,
+        high=high,
+        verdict=verdict,
+        open_low=opens[0],
+        open_high=opens[1],
+    )
 
 
 def _predicted(
