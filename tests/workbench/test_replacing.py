@@ -309,7 +309,7 @@ def test_only_the_file_that_was_looked_at_takes_the_place(served, girl, tmp_path
     assert status == 409 and said["error"] == "the radiograph: was changed after it was looked at; look at it again"
     # And from the trash, between the look at its patient and the exchange.
     place = served.bench.trash.folder / gone / "frontal.dcm"
-    monkeypatch.setattr(trash, "check_patient", lambda *_: place.write_bytes(other))
+    monkeypatch.setattr(trash, "check_patient", lambda *_, **__: place.write_bytes(other))
     assert served.json("POST", f"/api/trash/{gone}/restore", {})[0] == 409
     assert content_of(girl) == before and len(served.good("GET", "/api/trash")["trash"]) == 1
 
@@ -354,8 +354,16 @@ def test_what_is_in_the_trash_is_not_put_back_into_another_subject_of_the_name(s
     status, body = served.json("POST", f"/api/trash/{trash}/restore", {})
     assert status == 422 and "has the id 'somebody-else', and this was taken from 'girl'" in body["error"]
     assert content_of(girl) == before
-    write_json(girl / "subject.json", values)
+    # One of before ids were kept goes by the name alone.
+    record = served.bench.trash.folder / trash / "radiograph.json"
+    write_json(record, {key: one for key, one in read_json(record).items() if key != "id"})
     served.good("POST", f"/api/trash/{trash}/restore", {})
+
+
+def test_a_subject_that_is_no_object_is_refused_by_its_name(served, girl):
+    write_json(girl / "subject.json", [])
+    with pytest.raises(SubjectError, match=r"^subject\.json: wanted an object"):
+        served.bench.trash.remove_push(girl, "a")
 
 
 def test_a_radiograph_in_the_trash_waits_for_its_subject(served, girl, tmp_path):

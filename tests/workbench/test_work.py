@@ -572,7 +572,18 @@ def test_zip_files_without_names_have_ids_of_their_own_and_name_what_they_leave_
 
 @pytest.mark.parametrize(
     ("name", "kept"),
-    [("120", True), ("100.5", True), ("T10", True), ("rib", True), ("Anna", False), ("p-017", False), ("R10_L", False)],
+    [
+        ("120", True),
+        ("100.5", True),
+        ("T10", True),
+        ("rib", True),
+        ("Anna", False),
+        ("4821357", False),
+        ("19850312", False),
+        ("1985.03.12", False),
+        ("p-017", False),
+        ("R10_L", False),
+    ],
 )
 def test_a_log_hides_a_folders_name_unless_it_reads_as_what_the_program_says(tmp_path, name, kept):
     folder, log = tmp_path / name, tmp_path / "log"

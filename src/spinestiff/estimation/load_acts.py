@@ -21,6 +21,7 @@ from spinestiff.mechanics.push import raised_level
 
 HEIGHT_STEP_MM = 5.0
 """Over which the change by a push's height is a difference: one prior standard deviation up, and one down."""
+LEAST_RISE = 0.8  # mm that the pushed ribs' points lie higher for each mm of a push's height
 
 
 def load_changes(load: LoadCase, torso: TorsoModel) -> tuple[LoadCase, ...]:
@@ -79,7 +80,8 @@ def _higher(push: LoadCase, torso: TorsoModel) -> LoadCase:
     """Change per mm that a push acts higher: other ribs share it (``mechanics.push.raised_level``).
 
     It is the difference between the push ``HEIGHT_STEP_MM`` above its place and as far below: at a whole rib level,
-    where one rib alone is pushed, both its neighbours have a part. A push that is not on ribs rises on its bones.
+    where one rib alone is pushed, both its neighbours have a part. A push that is not on ribs rises on its bones, and
+    so does one at ribs 11 and 12, which may lie at one height.
     """
     rest, names = torso.rest_pose, [torso.bone_names[bone] for bone in push.points.bone]
     if not all(name in RIBS for name in names):
@@ -91,4 +93,6 @@ def _higher(push: LoadCase, torso: TorsoModel) -> LoadCase:
     below, above = (rib_load(torso, side, one, 1.0, depth) for one in levels)
     change = _sum(above, below.scaled(-1.0))
     shares = change.forces[:, 0] * PUSH_DIRECTION[side] / (risen[1] - risen[0])
+    if shares @ change.points.positions(rest)[:, 1] < LEAST_RISE:
+        return _moved(push, rest, 1)
     return LoadCase(change.points, shares[:, None] * push.total, push.label)

@@ -401,7 +401,7 @@ def _name(names: tuple[str, ...], index: int) -> str:
 def rmse(corners: ArrayLike, others: ArrayLike) -> float:
     """sqrt(mean over corners of the squared 2D distance), in the unit of the input.
 
-    So we read the paper's Table 5 (5.3), of which it prints no formula.
+    This is our reading of the RMSE in the paper's Table 5; the paper prints no formula.
 
     Parameters
     ----------

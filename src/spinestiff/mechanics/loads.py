@@ -129,7 +129,7 @@ def no_load() -> LoadCase:
 def rib_push(
     torso: TorsoModel, side: str, level: float, force_n: float, anterior_mm: float = 0.0, label: str = ""
 ) -> LoadCase:
-    """The gauge's force F3 on the ribs of one side, split over the two ribs nearest in height by the lever rule.
+    """The gauge's force F3 on the ribs of one side, split over the two ribs beside its level by the lever rule.
 
     Warns (``OutsideWarning``) above ``USUAL_LIMIT_N``: nothing that the model was compared with was pushed harder.
 

@@ -334,7 +334,7 @@ def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
             sure = np.sqrt(np.repeat(part.quality, 8)) / priors.annotation_mm
             columns = part.along(placed(tangent)) * sds
             away = (found[places] - expected[places]) / sds
-            # As sure of a corner as of one set by hand, and less where tracking is.
+            # As sure of a corner as of one set by hand, and less sure where tracking was.
             rows = np.vstack([sure[:, None] * columns, np.eye(len(unknown))])
             step = np.linalg.lstsq(rows, -np.concatenate([sure * part.values, away]), rcond=None)[0]
             if np.abs(step).max() < FITTED_TO:

@@ -6,6 +6,7 @@ reading them takes some hundredths of a second. What counts for what:
 
     ABOVE       never: rooms that no step imports, so that another option of the command line has nothing made again
     TOLD        for pages and pictures alone: it says, prints and draws what was found, and no number comes from it
+    BESIDE      for pages and pictures alone, too: it makes subject folders and files for others
     all else    for every result
 """
 
@@ -63,8 +64,8 @@ BESIDE = (
     "study/imported.py",
     "subject/intake",
 )
-"""What makes subject folders, or files for others, and no result: nothing that counts for a number imports it
-(``tests/test_architecture.py``)."""
+"""What makes subject folders, or files for others: nothing that counts for a number imports it
+(``tests/test_architecture.py``), so that no estimate is made again for it."""
 _MADE = {"__pycache__"}
 
 

@@ -116,7 +116,7 @@ def end_group(process: subprocess.Popen[bytes]) -> None:
 def _keep_log(process: subprocess.Popen[bytes], folder: Path, log: Path) -> None:
     """Copy what the command says, without the folder's name: it may be a person's."""
     named = [re.escape(one) for one in sorted({str(folder), str(folder.resolve())}, key=len, reverse=True)]
-    # What reads as a number, a vertebra or a word of the program's own is no person's, and stands in what is said.
+    # What reads as a number of the program's, a vertebra or one of its words stands in what is said.
     named += [rf"(?<![\w.-]){re.escape(folder.name)}(?![\w-])"] if _may_name(folder.name) else []
     hidden = re.compile("|".join(named))
     assert process.stdout is not None
@@ -137,7 +137,7 @@ def _keep_log(process: subprocess.Popen[bytes], folder: Path, log: Path) -> None
 def _may_name(folder: str) -> bool:
     """Whether the name of a folder by itself may tell whose it is."""
     plain = folder.casefold()
-    return len(folder) > 2 and plain not in _OWN_WORDS and not re.fullmatch(r"[\d.,]+|[tl]\d{1,2}", plain)
+    return len(folder) > 2 and plain not in _OWN_WORDS and not re.fullmatch(r"\d{1,3}([.,]\d{1,2})?|[tl]\d{1,2}", plain)
 
 
 def main() -> None:

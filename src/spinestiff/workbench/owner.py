@@ -1,5 +1,5 @@
-"""Whose something in the trash was: the name of the subject's folder, and the subject's id, which another one that has
-this name since then has not."""
+"""Whose something in the trash was: the name of the subject's folder, and the subject's id, by which another subject
+that took this name later is told apart."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ class Owner:
     @classmethod
     def of(cls, folder: Path) -> Owner:
         """Raises SubjectError where ``subject.json`` can't be read."""
-        return cls(folder.name, read_json(folder / SUBJECT_FILE).get("id"))
+        record = read_json(folder / SUBJECT_FILE)
+        if not isinstance(record, dict):
+            raise SubjectError(f"{SUBJECT_FILE}: wanted an object")
+        return cls(folder.name, record.get("id"))
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any]) -> Owner:

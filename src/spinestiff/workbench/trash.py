@@ -235,5 +235,7 @@ def _checked(folder: Path, image: str, file: Path) -> str:
         one = read_exported(file, file.name, file.parent)
     except RadiographError:
         return file_digest(file)  # as when it was replaced: whatever it is, it was the subject's
-    check_patient([other for other in standing.files if standing.images[other.name] != image], [one])
+    # It was the subject's, under whatever pseudonym.
+    staying = [other for other in standing.files if standing.images[other.name] != image]
+    check_patient(staying, [one], pseudonyms=False)
     return one.scan.sha256

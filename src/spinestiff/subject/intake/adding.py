@@ -183,17 +183,17 @@ def sort_addition(
     return Addition(Sorting(rest["rest/frontal"], rest["rest/lateral"], pushes, reasons), held, fills)
 
 
-def check_patient(own: Sequence[Exported], found: Sequence[Exported]) -> None:
-    """Raise SubjectError where radiographs tell of another patient than those of a subject; the first of each is asked,
-    since each are of one."""
+def check_patient(own: Sequence[Exported], found: Sequence[Exported], pseudonyms: bool = True) -> None:
+    """Raise SubjectError where radiographs tell of another patient than those of a subject, or, with ``pseudonyms``,
+    where patients were taken out and their pseudonyms differ; the first of each is asked, since each are of one."""
     if own and found:
         mine, other = (read_identity(files[0].path) for files in (own, found))
         if mine.is_of(other) is False:
             raise SubjectError("the radiographs are of another patient than the subject's; make a new subject of them")
-        if mine.removed and other.removed and not mine.may_be_of(other):
+        if pseudonyms and mine.removed and other.removed and not mine.may_be_of(other):
             raise SubjectError(
-                "the radiographs have another pseudonym than the subject's; make a new subject of them or, if they are "
-                "of the same patient, de-identify them with the key of the others"
+                "the radiographs have another pseudonym, or none, than the subject's; make a new subject of them, or, for "
+                "the same patient, de-identify them with the key of the others"
             )
 
 
