@@ -138,7 +138,7 @@ def test_refused_additions_change_nothing(girl, tmp_path, monkeypatch):
     nameless = {"PatientIdentityRemoved": "YES", "PatientName": ""}
     mine, other = (collect([export(tmp_path / name, patient=name, **nameless)])[0] for name in ("p-1", "p-2"))
     adding.check_patient(mine, mine)
-    with pytest.raises(SubjectError, match="have another pseudonym, or none, than the subject.s; make a new"):
+    with pytest.raises(SubjectError, match="have another pseudonym, or none, than the subject's; make a new"):
         adding.check_patient(mine, other)
     addition = adding.sort_addition(standing, found)
     data, _ = adding.added_data(standing, addition, {})

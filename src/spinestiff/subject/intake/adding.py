@@ -192,8 +192,8 @@ def check_patient(own: Sequence[Exported], found: Sequence[Exported], pseudonyms
             raise SubjectError("the radiographs are of another patient than the subject's; make a new subject of them")
         if pseudonyms and mine.removed and other.removed and not mine.may_be_of(other):
             raise SubjectError(
-                "the radiographs have another pseudonym, or none, than the subject's; make a new subject of them, or, for "
-                "the same patient, de-identify them with the key of the others"
+                "the radiographs have another pseudonym, or none, than the subject's; make a new subject of them or, "
+                "for the same patient, de-identify them with the key of the others"
             )
 
 
