@@ -424,9 +424,9 @@ def test_a_vertebra_lost_in_tracking_stands_out(sound):
         doubts["vertebrae in motion"],
     )
     # What is known to be tracked badly hardly counts in the fit and is no reason to doubt it.
-    weights = np.array(moving.weights)
+    weights = np.array(moving.quality)
     weights[4] = 0.05
-    fit = replace(sound.fit, residuals=(still, replace(moving, difference=off, weights=weights)))
+    fit = replace(sound.fit, residuals=(still, replace(moving, difference=off, quality=weights)))
     assert not replace(sound, fit=fit).doubts()
 
 

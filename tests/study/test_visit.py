@@ -34,7 +34,7 @@ def test_unknown_settings_are_refused(wrong):
         ({"force_scale": "2 %"}, r"subject\.json: priors\.force_scale: "),
         (
             {"frame_shoulder_mm": 4},
-            r"json: prior frame_shoulder_mm 4 is a part of shoulder_mm 3; wanted less$",
+            r"json: priors: prior frame_shoulder_mm 4 is a part of shoulder_mm 3; wanted less$",
         ),
     ],
 )

@@ -113,9 +113,6 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     check_writable(folder.parent, "the subject and its truth")
     say = heard(observer, logging.getLogger(__name__))
     random = np.random.default_rng(recipe.seed)
-    for mesh in MESHES:
-        # What estimates shape by the subject's radiographs.
-        template_body(recipe.age, recipe.sex, recipe.height_cm, mesh)
     say("shaping the torso")
     torso = subject_torso(recipe, say)
     say(f"{mesh_quality(torso)}; {len(torso.tissue.rest_positions)} nodes")
@@ -124,6 +121,9 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     )
     ratios = stiffness_ratios({"lateral_bending": bending, "tissue": tissue})
     maker = _Acquisition(folder, torso, recipe, random)
+    for mesh in MESHES:
+        # What estimates shape by the subject's radiographs.
+        template_body(recipe.age, recipe.sex, recipe.height_cm, mesh)
     side = maker.main_side
     # A stream of its own: what else is random is the same whether supports are drawn or given.
     give = recipe.supports or drawn_supports(random.spawn(1)[0])
