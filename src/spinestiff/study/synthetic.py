@@ -22,7 +22,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
-from spinestiff.anatomy.template import MESHES, template_torso
+from spinestiff.anatomy.template import MESHES
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
@@ -205,7 +205,7 @@ def subject_torso(recipe: Recipe, observer: Observer | None = None) -> TorsoMode
     """
     coarse = recipe.nodes is not None and recipe.nodes <= CARRIED_COARSE
     mesh = "coarse" if coarse else recipe.mesh
-    template = template_torso(recipe.height_cm, mesh, age_years=recipe.age, sex=recipe.sex)
+    template = template_body(recipe.age, recipe.sex, recipe.height_cm, mesh)
     poses: VertebraPoses
     if recipe.spine:
         poses = real_spine(template, *recipe.spine)
