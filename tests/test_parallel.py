@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from contextlib import nullcontext
 from threading import Barrier, Event, current_thread
+from time import monotonic, sleep
 
 import pytest
 
@@ -31,18 +33,54 @@ def test_pieces_run_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(set(in_parallel(lambda _: (meeting.wait(), current_thread().name)[1], range(3)))) == 3
 
 
-def test_pieces_of_a_piece_stay_on_its_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pieces_of_a_piece_stay_on_its_thread_while_others_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPINESTIFF_THREADS", "2")
+    all_at_work = Barrier(2, timeout=20.0)
 
     def inner(_: int) -> str:
         return current_thread().name
 
-    def outer(_: int) -> set[str]:
-        return {current_thread().name, *in_parallel(inner, range(4))}
+    def outer(_: int) -> tuple[int, set[str]]:
+        all_at_work.wait()
+        found = own_threads(), {current_thread().name, *in_parallel(inner, range(4))}
+        all_at_work.wait()
+        return found
 
-    assert [len(names) for names in in_parallel(outer, range(4))] == [1] * 4
-    assert in_parallel(lambda _: own_threads(), range(3)) == [1, 1, 1] and own_threads() == 2
+    assert [(count, len(names)) for count, names in in_parallel(outer, range(4))] == [(1, 1)] * 4
+    assert own_threads() == 2
     assert current_thread().name not in in_parallel(inner, range(4))  # and the caller is free for others again
+
+
+def test_threads_nobody_needs_are_shared_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPINESTIFF_THREADS", "7")
+    together = Barrier(3, timeout=20.0)
+
+    def share(_: int) -> int:
+        together.wait()
+        found = own_threads()
+        together.wait()
+        return found
+
+    assert in_parallel(share, range(3)) == [2, 2, 2]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_piece_that_ends_leaves_its_thread_to_the_others(monkeypatch: pytest.MonkeyPatch, fails: bool) -> None:
+    monkeypatch.setenv("SPINESTIFF_THREADS", "2")
+    grown = list[bool]()
+
+    def piece(number: int) -> None:
+        if number == 0:
+            until = monotonic() + 20.0
+            while own_threads() < 2 and monotonic() < until:
+                sleep(0.001)
+            grown.append(own_threads() == 2)
+        elif fails:
+            raise ValueError("one of them")
+
+    with pytest.raises(ValueError) if fails else nullcontext():
+        in_parallel(piece, range(2))
+    assert grown == [True]
 
 
 @pytest.mark.parametrize("count", ["1", "4"])

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache
-from threading import local
+from threading import Lock, local
 from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
@@ -47,34 +47,56 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
+class _Pieces:
+    """Pieces of work that share some threads: each has its own, and an equal part of those that nobody needs."""
+
+    def __init__(self, threads: int, pieces: int) -> None:
+        self._threads, self._left, self._lock = threads, pieces, Lock()
+
+    def share(self) -> int:
+        """Threads for one piece; it only grows, since no piece is added."""
+        return max(1, self._threads // max(self._left, 1))
+
+    def ended(self) -> None:
+        with self._lock:
+            self._left -= 1
+
+
 def own_threads() -> int:
-    """How many threads a library may use for what is computed here: one inside a piece of work, else all."""
-    return 1 if getattr(_here, "busy", False) else threads()
+    """How many threads may be used for what is computed here: all, inside a piece of work its share of them."""
+    pieces: _Pieces | None = getattr(_here, "pieces", None)
+    return threads() if pieces is None else pieces.share()
 
 
 def in_parallel(function: Callable[[Piece], Result], pieces: Iterable[Piece]) -> list[Result]:
     """``function`` of each piece, in their order; results do not depend on the number of threads.
 
-    Inside a piece everything runs on its own thread, so that nested calls do not multiply threads.
+    Threads are never more than there are. While pieces wait, each that runs has one thread; towards the end those that
+    are left share what the others no longer need, in nested calls and in factorisations (``own_threads``).
 
     Raises
     ------
     What ``function`` raises for the first piece, in their order, for which it does.
     """
     todo = list(pieces)
-    count = min(own_threads(), len(todo))
+    free = own_threads()
+    count = min(free, len(todo))
     if count <= 1:
         return [function(piece) for piece in todo]
+    sharing = _Pieces(free, len(todo))
 
-    def alone(piece: Piece) -> Result:
-        _here.busy = True
-        return function(piece)
+    def one_of_them(piece: Piece) -> Result:
+        _here.pieces = sharing
+        try:
+            return function(piece)
+        finally:
+            sharing.ended()
 
     pool = ThreadPoolExecutor(count, "spinestiff")
     wait = True
     try:
         with blas_on_one_thread():
-            waiting = [pool.submit(alone, piece) for piece in todo]
+            waiting = [pool.submit(one_of_them, piece) for piece in todo]
             return [one.result() for one in waiting]
     except KeyboardInterrupt:
         wait = False  # for nobody: what is at work ends by itself
@@ -90,7 +112,7 @@ def blas_on_one_thread() -> AbstractContextManager[object]:
     process on two processors the steps of equilibria took 3.8 times as long. The number is that of the process:
     where two threads of a caller's own solve at overlapping times, it may stay at one.
     """
-    return nullcontext() if getattr(_here, "busy", False) else _blas().limit(limits=1, user_api="blas")
+    return nullcontext() if hasattr(_here, "pieces") else _blas().limit(limits=1, user_api="blas")
 
 
 @lru_cache(maxsize=1)

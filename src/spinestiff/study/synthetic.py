@@ -248,8 +248,14 @@ class _Acquisition:
             view, seed = self._standing(nominal), self._drawn_seed()
             self.images[f"rest/{name}"] = self._annotation(view)
             taken.append((name, view, orientation, how, seed))
-        for name, view, orientation, how, seed in taken:
-            pixels = self._radiographs([self.torso.rest_pose], view, how, seed)
+
+        def radiograph(
+            name: str, view: XRayView, orientation: tuple[str, str], how: Acquisition, seed: int
+        ) -> np.ndarray:
+            return self._radiographs([self.torso.rest_pose], view, how, seed)
+
+        pictures = in_parallel(lambda one: radiograph(*one), taken)
+        for (name, view, orientation, *_), pixels in zip(taken, pictures, strict=True):
             self._write(self.folder / "rest" / f"{name}.dcm", pixels, view, orientation, f"rest {name}")
 
     def push(self, push: SyntheticPush, states: list[TorsoState], supports: Supports) -> None:
