@@ -75,6 +75,7 @@ def test_the_page_and_tables_of_what_is_there(spinestiff, study, tmp_path):
     assert "Goals, 1 of 7 subjects" in shown.out and f"page: {page}" in shown.out.replace("\n", "")
     text = page.read_text(encoding="utf-8")
     assert "**1 of the 7 subjects**" in text and "on the coarse mesh" in text
+    assert "No run has come to the end of subject-2, subject-3, subject-4, subject-5, subject-6 and subject-7." in text
     for number in (2, 4):
         assert f"(images/study-figure-{number}.png)" in text
         assert (page.parent / "images" / f"study-figure-{number}.png").stat().st_size > 10_000
@@ -90,6 +91,7 @@ def test_json_is_a_list_of_errors_by_subject(spinestiff, study):
             "subject": "subject-1",
             "rmse_mm": {"default": 10.0, "fit": 2.0},
             "cobb_error_deg": {"default": 16.0, "fit": 1.0},
+            "cobb_error_signed_deg": {"default": 16.0, "fit": 1.0},
         }
     ]
     others = spinestiff("study", "seven", study, "--mesh", "coarse", "--page-only", "--others", "--json")

@@ -51,7 +51,10 @@ def seven(
             "--page-only", help="Write the page from the outcomes that are there, whichever program's; run nothing."
         ),
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print errors by subject as a JSON list.")] = False,
+    json: Annotated[
+        bool,
+        typer.Option("--json", help="Print errors by subject as a JSON list; cobb_error_deg is between fixed levels."),
+    ] = False,
 ) -> None:
     """Seven subjects after the paper's, from radiographs to its Tables 2-7 and Figures 2, 4 and 5."""
     from spinestiff.app import tables
@@ -64,7 +67,7 @@ def seven(
     from spinestiff.study.seven.goals import errors_of, goals
     from spinestiff.study.seven.participants import others as thirty
     from spinestiff.study.seven.participants import seven as those_seven
-    from spinestiff.study.seven.subject import stored_outcome, study_subject, usable_folder
+    from spinestiff.study.seven.subject import stored_failure, stored_outcome, study_subject, usable_folder
     from spinestiff.study.seven.tables import paper_tables
     from spinestiff.study.visit import Settings
     from spinestiff.subject.lock import sole_run
@@ -93,7 +96,12 @@ def seven(
             f"{folder}: has no outcome of a study with --mesh {mesh} and these subjects; wanted the folder of a run of "
             "spinestiff study seven, nothing was written"
         )
-    written = write_page(folder, place, first, further, settings, lambda line: typer.echo(f"warning: {line}", err=True))
+    found_names = {found.name for found in (*first, *further) if found is not None}
+    asked_for = [*those_seven(), *(thirty() if further or others else ())]
+    lacking = {one.name: stored_failure(folder, one) for one in asked_for if one.name not in found_names}
+    written = write_page(
+        folder, place, first, further, settings, lacking, lambda line: typer.echo(f"warning: {line}", err=True)
+    )
     # Beside JSON, not in it.
     typer.echo(found_by(there, program_of_numbers()), err=json)
     if json:

@@ -13,9 +13,10 @@ import pytest
 from spinestiff.parallel import threads
 from spinestiff.study.seven.campaign import AGAIN, ENDED, run_study
 from spinestiff.study.seven.participants import seven
-from spinestiff.study.seven.subject import result_file
+from spinestiff.study.seven.subject import failure_file, result_file, stored_failure
 from spinestiff.study.visit import Settings
 from spinestiff.subject.program import program_of_numbers
+from study_outcomes import outcome
 from study_runners import made, one_killed, unforeseen, without_memory
 
 SETTINGS = Settings(mesh="coarse")
@@ -34,6 +35,21 @@ def test_subjects_that_fail_leave_the_others_alone(tmp_path):
     assert found.failures == {"subject-2": "no equilibrium"}
     assert ("subject-2", "failed: no equilibrium") in lines
     assert {("subject-1", "making"), ("subject-1", "done"), ("subject-3", "done")} <= set(lines)
+
+
+def test_why_a_subject_failed_is_kept_until_it_no_longer_does(tmp_path):
+    run(tmp_path, 1)
+    assert [stored_failure(tmp_path, one) for one in FIRST] == [None, "no equilibrium", None]
+    failure_file(tmp_path, FIRST[0]).write_text("{")
+    assert stored_failure(tmp_path, FIRST[0]) is None
+    run_study(tmp_path, FIRST[1:2], SETTINGS, lambda name, line: None, 1, lambda *asked: outcome(2))
+    assert stored_failure(tmp_path, FIRST[1]) is None and not failure_file(tmp_path, FIRST[1]).exists()
+
+
+def test_a_reason_that_can_not_be_written_is_no_failure_of_the_others(tmp_path):
+    failure_file(tmp_path, FIRST[1]).mkdir()
+    found, _ = run(tmp_path, 1)
+    assert set(found.outcomes) == {"subject-1", "subject-3"} and set(found.failures) == {"subject-2"}
 
 
 def test_errors_that_were_not_foreseen_are_failures_of_their_subjects_alone(tmp_path):

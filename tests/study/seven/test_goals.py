@@ -23,7 +23,7 @@ def met(outcomes):
 
 def test_all_are_met_by_errors_below_them():
     found = met(SEVEN)
-    assert len(found) == 21
+    assert len(found) == 23
     assert set(found.values()) == {True}
 
 
@@ -131,6 +131,7 @@ def test_errors_by_subject_have_the_keys_that_were_agreed():
         "subject": "subject-1",
         "rmse_mm": {"default": 9.0, "fit": pytest.approx(1.8)},
         "cobb_error_deg": {"default": 16.0, "fit": 1.0},
+        "cobb_error_signed_deg": {"default": 16.0, "fit": 1.0},
     }
     assert errors_of(outcome(frames=()))["rmse_mm"] == {"default": None, "fit": None}
 

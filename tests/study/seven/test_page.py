@@ -10,8 +10,8 @@ from study_outcomes import frame, outcome
 PICTURES = Pictures((Picture("2", "images/study-figure-2.png", "Tracked corners"),))
 
 
-def page(first, further=(), pictures=PICTURES):
-    return page_text(first, further, pictures, "2026-01-02", "9.9+0123", "fine")
+def page(first, further=(), pictures=PICTURES, lacking=None):
+    return page_text(first, further, pictures, "2026-01-02", "9.9+0123", "fine", lacking or {})
 
 
 def section(text, title):
@@ -37,12 +37,13 @@ def test_a_whole_study_has_everything_in_order():
         "## Held-out frames: the others",
         "## The others, one by one",
         "## Intervals",
+        "## Intervals: the others",
         "## The paper's discussion (6.1), point by point",
         "## The paper's conclusions (6.2), point by point",
         "## Forward test",
         "## Time",
     ]
-    assert "Written on 2026-01-02 by `spinestiff study seven DIR --mesh fine`" in text
+    assert "Written on 2026-01-02 from the outcomes of `spinestiff study seven DIR --mesh fine`" in text
     assert "Estimates are on the fine mesh, Tables 3 and 7 on the coarse one." in text
     assert "**7 of the 7 subjects** and **1 of the 30 others**" in text
     assert "not finished" not in text
@@ -203,3 +204,25 @@ def test_intervals_that_hold_too_few_truths_are_told_as_such():
     assert "- Both together: the truth lies in 3 of 6 joint 95 % regions, of 1 more it is not known (fewer" in text
     assert "by chance so few in 0.2 % of studies)." in text
     assert "Bending: the truth lies in 7 of 7 95 % intervals; the estimate" in text
+
+
+def test_who_has_no_outcome_is_named_with_the_reason():
+    lacking = {"subject-3": "no equilibrium", "other-06": "MemoryError: no room", "other-07": None, "other-08": None}
+    text = page([outcome(1), *[None] * 6], [outcome(2, name="other-01")], lacking=lacking)
+    told = "Without an outcome because something failed: subject-3 (no equilibrium); other-06 (MemoryError: no room)."
+    assert f"\n\n{told} No run has come to the end of other-07 and other-08.\n\n" in text
+    assert "Without an outcome" not in page([outcome(1)]) and "No run has come" not in page([outcome(1)])
+
+
+def test_the_others_have_their_intervals_failed_checks_and_what_could_not_be_found():
+    doubtful = outcome(1, name="other-01", failed=("fit of one vertebra",), missing=("Table 7: no refit",))
+    text = page([outcome(number) for number in range(1, 8)], [doubtful])
+    assert "other-01 (fit of one vertebra)" in section(text, "Intervals: the others")
+    assert "the truth lies in 1 of 1 95 % intervals" in section(text, "Intervals: the others")
+    assert "### What could not be found\n\n- other-01: Table 7: no refit.\n" in text
+
+
+def test_the_estimates_own_places_are_judged_against_tracking_too():
+    goals = section(page([outcome(number) for number in range(1, 8)]), "Goals")
+    for where in ("another rib", "the other side"):
+        assert f"| median RMSE at {where}, estimate against tracking extrapolated by force | below " in goals

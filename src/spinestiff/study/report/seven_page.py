@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +60,7 @@ def write_page(
     first: Sequence[SubjectOutcome | None],
     further: Sequence[SubjectOutcome],
     asked: Settings,
+    lacking: Mapping[str, str | None],
     say: Observer,
 ) -> Path:
     """Write the page, and its pictures into ``images`` beside it.
@@ -70,7 +71,7 @@ def write_page(
     Parameters
     ----------
     folder : of the study. first : the seven, None where there is no outcome. further : the others that there are.
-    say : is told why a subject could not be drawn.
+    lacking : who has no outcome, as in ``page_text``. say : is told why a subject could not be drawn.
 
     Raises
     ------
@@ -102,7 +103,7 @@ def write_page(
         shown.append(Picture(figure, os.path.relpath(path, page.parent), words))
     pictures = Pictures(tuple(shown), tuple(kept), tuple(undrawn))
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    write_text(page, page_text(first, further, pictures, today, program_of_numbers(), asked.mesh))
+    write_text(page, page_text(first, further, pictures, today, program_of_numbers(), asked.mesh, lacking))
     return page
 
 

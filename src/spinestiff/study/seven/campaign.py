@@ -18,7 +18,7 @@ from typing import Any
 from spinestiff.errors import SpinestiffError
 from spinestiff.parallel import VARIABLES
 from spinestiff.study.seven.participants import Participant
-from spinestiff.study.seven.subject import known_outcome, study_subject
+from spinestiff.study.seven.subject import known_outcome, note_failure, study_subject
 from spinestiff.study.visit import Settings
 from spinestiff.subject.study_outcome import SubjectOutcome
 
@@ -46,7 +46,8 @@ def run_study(
     workers: int,
     study: Study = study_subject,
 ) -> Found:
-    """Every subject's outcome; a subject that fails, whatever the error, leaves the others alone.
+    """Every subject's outcome; a subject that fails, whatever the error, leaves the others alone, and its reason in a
+    file of its own (``subject.failure_file``).
 
     Parameters
     ----------
@@ -56,22 +57,23 @@ def run_study(
     """
     outcomes, failures, todo = dict[str, SubjectOutcome](), dict[str, str](), list[Participant]()
 
-    def ended(name: str, result: SubjectOutcome | str) -> None:
+    def ended(one: Participant, result: SubjectOutcome | str) -> None:
         if isinstance(result, str):
-            failures[name] = result
+            failures[one.name] = result
         else:
-            outcomes[name] = result
-        on_line(name, f"{FAILED}{failures[name]}" if name in failures else DONE)
+            outcomes[one.name] = result
+        note_failure(folder, one, failures.get(one.name))
+        on_line(one.name, f"{FAILED}{failures[one.name]}" if one.name in failures else DONE)
 
     for one in participants:
         known = known_outcome(folder, one, settings)
         if known is None:
             todo.append(one)
         else:
-            ended(one.name, known)
+            ended(one, known)
     if workers <= 1 or len(todo) <= 1:
         for one in todo:
-            ended(one.name, _result(study, folder, one, settings, lambda line, name=one.name: on_line(name, line)))  # type: ignore[misc]
+            ended(one, _result(study, folder, one, settings, lambda line, name=one.name: on_line(name, line)))  # type: ignore[misc]
     else:
         _in_processes(todo, workers, (study, folder, settings), on_line, ended)
     return Found(outcomes, failures)
@@ -104,7 +106,7 @@ def _in_processes(
     workers: int,
     asked: tuple[Study, Path, Settings],
     on_line: OnLine,
-    ended: Callable[[str, SubjectOutcome | str], None],
+    ended: Callable[[Participant, SubjectOutcome | str], None],
 ) -> None:
     """A process of its own for each subject, so that one that dies takes no other with it."""
     context = multiprocessing.get_context("spawn")
@@ -136,7 +138,7 @@ def _in_processes(
                     on_line(at.one.name, AGAIN)
                     waiting.append((at.one, at.tries + 1))
                 else:
-                    ended(at.one.name, ENDED if what is None else what)
+                    ended(at.one, ENDED if what is None else what)
     finally:
         for at in running.values():
             at.process.kill()

@@ -132,6 +132,8 @@ def goals(outcomes: Sequence[SubjectOutcome]) -> tuple[Goal, ...]:
         found += [
             _below(f"median RMSE at {PUSHES[push]}, forecast against tracking extrapolated by force",
                    *medians(places, frames, "forecast", "extrapolation")),
+            _below(f"median RMSE at {PUSHES[push]}, estimate against tracking extrapolated by force",
+                   *medians(places, frames, "fit", "extrapolation")),
             _below(f"{motion} tracking extrapolated by force", *medians(motions, frames, "fit", "extrapolation")),
             _below(f"{motion} a single ratio", *medians(motions, frames, "fit", "single_ratio")),
         ]  # fmt: skip
@@ -141,14 +143,20 @@ def goals(outcomes: Sequence[SubjectOutcome]) -> tuple[Goal, ...]:
 def errors_of(one: SubjectOutcome) -> dict[str, object]:
     """A subject's errors in the validation frame, as JSON; None where there is no such frame.
 
-    The Cobb angle's is that of its change between the end vertebrae of the curve at rest, not in the paper's form.
+    ``cobb_error_deg`` is of the Cobb angle's change between the end vertebrae of the curve at rest,
+    ``cobb_error_signed_deg`` of it in the paper's form, the signed largest angle.
     """
-    main = frames_of([one], MAIN)
-    errors = {name: mean(cobb_errors(main, name)) for name in ("default", "fit")}
+    main, models = frames_of([one], MAIN), ("default", "fit")
+
+    def cobb(form: Form) -> dict[str, float | None]:
+        errors = {name: mean(cobb_errors(main, name, form)) for name in models}
+        return {name: None if value is None else round(value, 3) for name, value in errors.items()}
+
     return {
         "subject": one.name,
-        "rmse_mm": {name: mean(places(main, name)) for name in errors},
-        "cobb_error_deg": {name: None if value is None else round(value, 3) for name, value in errors.items()},
+        "rmse_mm": {name: mean(places(main, name)) for name in models},
+        "cobb_error_deg": cobb("fixed_levels"),
+        "cobb_error_signed_deg": cobb("signed"),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,12 +86,14 @@ def page_text(
     date: str,
     program: str,
     mesh: str,
+    lacking: Mapping[str, str | None],
 ) -> str:
     """The whole page.
 
     Parameters
     ----------
     first : the seven, None where there is no outcome. further : the others that there are.
+    lacking : participants without an outcome, by name: why the last run found none, None where none came to it.
     date : of the page. program : ``subject.program.program_of_numbers`` of whoever writes it.
     mesh : of the estimates.
     """
@@ -99,7 +101,8 @@ def page_text(
     parts = [
         "# The study: the paper's seven",
         "<!-- written by spinestiff study seven; not by hand -->",
-        f"Written on {date} by `spinestiff study seven DIR --mesh {mesh}`. Estimates are on the {mesh} mesh, Tables 3 "
+        f"Written on {date} from the outcomes of `spinestiff study seven DIR --mesh {mesh}`. "
+        f"Estimates are on the {mesh} mesh, Tables 3 "
         f"and 7 on the {TABLES_MESH} one. The page holds "
         f"**{len(there)} of the {len(SUBJECTS)} subjects** and **{len(further)} of the {COUNT_OTHERS} others** "
         "(`--others`)."
@@ -109,6 +112,7 @@ def page_text(
             else " The study is not finished: the same command goes on where it ended."
         ),
         found_by([*there, *further], program),
+        *_without(lacking),
         ABOUT,
         "## Goals",
         "The limits are fixed in the program, whatever is found.",
@@ -121,9 +125,11 @@ def page_text(
             parts += [f"### Table {table.number}: {table.title}", _markdown(table)]
             rows = differing(table)
             if rows:
-                parts += ["Rows whose averages differ by more than a tenth:"]
+                parts += ["Rows that differ by more than a tenth, in the average or in the mean over subjects:"]
                 parts.append("\n".join(f"- {row}" for row in rows))
-        missing = [f"- {one.name}: {line}." for one in there for line in (*_unpredicted(one), *one.missing)]
+        missing = [
+            f"- {one.name}: {line}." for one in (*there, *further) for line in (*_unpredicted(one), *one.missing)
+        ]
         if missing:
             parts += ["### What could not be found", "\n".join(missing)]
         parts += ["## Figures", *_figures(pictures)]
@@ -132,8 +138,10 @@ def page_text(
             parts += [f"## Held-out frames: {title.lower()}", HELD_OUT_ABOUT, _predictors(outcomes), _cobb(outcomes)]
     if further:
         parts += ["## The others, one by one", _their_forces(further), _one_by_one(further)]
+    for title, outcomes in (("Intervals", there), ("Intervals: the others", further)):
+        if outcomes:
+            parts += [f"## {title}", _intervals(outcomes)]
     if there:
-        parts += ["## Intervals", _intervals(there)]
         parts += ["## The paper's discussion (6.1), point by point", _listed(points_of_results(there))]
         parts += ["## The paper's conclusions (6.2), point by point", _listed(points_of_conclusions(there))]
         parts += ["## Forward test", _forward(first), "## Time", _time(there, further)]
@@ -155,16 +163,19 @@ not know:
 - rendered radiographs with noise, scatter and motion blur, corners set by hand in one frame and tracked through the
   others;
 - a geometry that is off: after personalisation the spine is bent away smoothly until its corners miss the rest
-  radiograph by 2.39 ± 0.3 mm (the paper's mean). The error itself stays unknown to the estimate; that there is one
-  of that size, which the rest radiograph shows, is added to the geometry's covariance.
+  radiograph by 2.39 ± 0.3 mm (the paper's mean).
 
 What truth and estimator share: the template (of the subject's age, sex and height; subjects made until 2026-11-29 are
 the girl of 13 scaled to the height, as estimates found until then were), the tissue's linear law and homogeneity, the
-ribs' joints, the wall.
+ribs' joints, the wall, the X-ray geometry. And the estimate does not know the errors, but how large such errors are:
+those of gauge, felt ribs and marks are drawn with the standard deviations of its [priors](estimation.md), and the
+covariance of the geometry's error, with its size, which the rest radiograph shows, is added to the geometry's own. So
+intervals are tried where errors are as large as they are taken to be.
 
 Ratios: the paper's default tissue is not public. Here a ratio of 1 is the tissue at which the paper's seven bodies
 show the force per degree that was measured with the paper's set-up
-([how](validation.md#youngs-modulus-of-the-default-tissue)): 204.5 kPa on the fine mesh. So the truth is Table 4's
+([how](validation.md#youngs-modulus-of-the-default-tissue)): 204.5 kPa on the fine mesh, found with the girl of 13
+scaled to their heights, whose trunks differ from those of their age and sex by up to 4 %. So the truth is Table 4's
 ratio of tissue times {TISSUE_SCALE:.3f} over the package's default of 150 kPa, and Table 4's ratio of bending as it
 is.
 
@@ -203,7 +214,8 @@ vertebra as the estimate, corrected as below, lets expect. It is what the report
 
 Intervals that hold more than 99 % of the corners are too wide, those that hold less than 90 % too narrow. The forecast
 corrects the estimate by the errors that the training frames and the unloaded frame show; the motion since the unloaded
-frame shows what the estimated stiffness does by itself."""
+frame shows what the estimated stiffness does by itself. The estimate's own places contain the geometry's error, which
+extrapolated tracking, from the unloaded frame on, does not."""
 
 FORWARD = """The change of the Cobb angle in Table 2 is a forward test of the paper's numbers: Table 4's ratios under
 Table 2's forces, with nothing fitted but the median force per degree. What moves it (supports, wall, the tissue's
@@ -213,6 +225,15 @@ supports most."""
 
 TIME_ABOUT = """CPU seconds a subject on one thread; other work on the machine changes them less than the clock's.
 "Tables" are the gradients of Table 3 and the refits of Table 7."""
+
+
+def _without(lacking: Mapping[str, str | None]) -> list[str]:
+    """A paragraph on who has no outcome and why; none where all have one."""
+    failed = [f"{name} ({reason})" for name, reason in lacking.items() if reason is not None]
+    waiting = [name for name, reason in lacking.items() if reason is None]
+    words = [f"Without an outcome because something failed: {'; '.join(failed)}."] if failed else []
+    words += [f"No run has come to the end of {listed(waiting)}."] if waiting else []
+    return [" ".join(words)] if words else []
 
 
 def _their_forces(further: Sequence[SubjectOutcome]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import logging
 import os
 import shutil
 import time
@@ -49,11 +50,41 @@ from spinestiff.subject.run_record import read_outcome, recorded_steps
 from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
 
 STEPS = ("track", "personalise", "estimate", "assess")
+_log = logging.getLogger(__name__)
 
 
 def result_file(folder: Path, participant: Participant) -> Path:
     """Where a subject's outcome lies."""
     return folder / f"{participant.name}.json"
+
+
+def failure_file(folder: Path, participant: Participant) -> Path:
+    """Where it lies why the last run found no outcome of a subject."""
+    return folder / f"{participant.name}.failed.json"
+
+
+def note_failure(folder: Path, participant: Participant, reason: str | None) -> None:
+    """Keep why a subject has no outcome, for the page; None takes it away. What can't be written is not kept."""
+    path = failure_file(folder, participant)
+    try:
+        if reason is None:
+            path.unlink(missing_ok=True)
+        else:
+            write_json(path, {"reason": reason, "program": program_of_numbers()})
+    except (OSError, SpinestiffError) as error:
+        _log.warning("%s: can't be written (%s)", path, error)
+
+
+def stored_failure(folder: Path, participant: Participant) -> str | None:
+    """Why the last run found no outcome, or None: it found one, or has not come to this subject."""
+    path = failure_file(folder, participant)
+    if not path.is_file():
+        return None
+    try:
+        found = read_json(path)
+    except SpinestiffError:
+        return None
+    return str(found["reason"]) if isinstance(found, dict) and "reason" in found else None
 
 
 def usable_folder(folder: Path) -> None:
