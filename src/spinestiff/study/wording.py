@@ -196,7 +196,7 @@ def told_stiffness(estimate: Estimate) -> list[tuple[str, Quantity, str, Determi
     """What is told of an estimate first: name in ``plain``, or of a ratio that is no part of one; value with interval,
     unit, and how far the data determine it."""
     lines: list[tuple[str, Quantity, str, Determination | None]] = [
-        (key, found, found.unit, _of_ratio(estimate, found.ratio))
+        (key, found, found.unit, determined_of(estimate, found.ratio))
         for key, found in ((key, estimate.plain[key]) for key in PLAIN)
         if found.ratio is not None or found.low is not None
     ]
@@ -210,12 +210,13 @@ def told_stiffness(estimate: Estimate) -> list[tuple[str, Quantity, str, Determi
     }
     alone = [name for name in estimate.parameters if name not in told and name.partition(AT)[0] not in together]
     return lines + [
-        (name, estimate.ratios[name], ratio_unit(name, estimate.parameters), _of_ratio(estimate, name))
+        (name, estimate.ratios[name], ratio_unit(name, estimate.parameters), determined_of(estimate, name))
         for name in alone
     ]
 
 
-def _of_ratio(estimate: Estimate, name: str | None) -> Determination | None:
+def determined_of(estimate: Estimate, name: str | None) -> Determination | None:
+    """How far the data determine a ratio; None without one."""
     return None if name is None else estimate.ratios[name].determined
 
 

@@ -150,28 +150,51 @@ def test_what_to_distrust_comes_gravest_first(finished, subject: Path) -> None:
     assert found.index("first note") > 3 and found.index("second note") > found.index("first note")
 
 
-@pytest.mark.parametrize(("ends", "reaches"), [((None, None), False), ((10.0, 40.0), False), ((10.0, 80.0), True)])
-def test_an_interval_that_is_not_there_reaches_no_cadaver_segments(ends, reaches) -> None:
-    found = PlainStiffness(value=20.0, low=ends[0], high=ends[1], unit="N m/rad", ratio="lateral_bending")
-    line = bending_line(SimpleNamespace(plain={"lateral_bending_thoracic": found}))
-    assert line is not None and line["overlap"] == reaches
+def beside_cadavers(value: float, low: float | None, high: float | None, opens: str = "") -> dict[str, Any]:
+    found = PlainStiffness(
+        value=value, low=low, high=high, open_low="low" in opens, open_high="high" in opens, unit="N m/rad",
+        ratio="lateral_bending",
+    )  # fmt: skip
+    ratios = {"lateral_bending": SimpleNamespace(determined=found.determination)}
+    line = bending_line(SimpleNamespace(plain={"lateral_bending_thoracic": found}, ratios=ratios))
+    assert line is not None
+    return line
 
 
 @pytest.mark.parametrize(
-    ("value", "opens", "told"),
+    ("ends", "reaches", "words"),
     [
-        (20.0, "", ("20", "0.35", "about 4.4 times softer than")),
-        (0.25, "low", ("≤ 0.25", "≤ 0.0044", "at least 360 times softer than")),
-        (500.0, "high", ("≥ 500", "≥ 8.7", "at least 5.6 times stiffer than")),
+        ((None, None), False, "The estimate is about 4.4 times softer than the middle of this range."),
+        ((15.0, 30.0), False, "The estimate is about 4.4 times softer than the middle of this range."),
+        ((15.0, 76.0), False, "Its 95 % interval reaches this range, so that the two are not to be told apart."),
     ],
 )
-def test_a_value_at_an_open_end_is_compared_as_a_bound(value: float, opens: str, told: tuple[str, str, str]) -> None:
-    ends = {"low": value if opens == "low" else value / 2.0, "high": value if opens == "high" else 2.0 * value}
-    found = PlainStiffness(
-        value=value, **ends, open_low=opens == "low", open_high=opens == "high", unit="N m/rad", ratio="lateral_bending"
-    )
-    line = bending_line(SimpleNamespace(plain={"lateral_bending_thoracic": found}))
-    assert line is not None and (line["value"], line["per_degree"], line["verdict"]) == told
+def test_an_interval_that_is_not_there_reaches_no_cadaver_segments(ends, reaches, words) -> None:
+    line = beside_cadavers(20.0, *ends)
+    assert (line["reaches"], line["sentence"]) == (reaches, words)
+
+
+def test_a_determined_value_says_that_its_interval_reaches_cadaver_segments() -> None:
+    line = beside_cadavers(60.0, 45.0, 80.0)
+    assert line["value"] == "60" and line["reaches"]
+    assert line["sentence"].endswith("softer than the middle of this range, but its 95 % interval reaches the range.")
+    assert beside_cadavers(90.0, 70.0, 110.0)["sentence"] == "The estimate lies within this range."
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ((20.0, 6.8, 32.0), ("6.8 to 32", "0.12 to 0.56", "at least 2.8 times softer than")),
+        ((20.0, 6.8, 90.0), ("6.8 to 90", "0.12 to 1.6", "")),
+        ((0.25, 0.25, 0.5, "low"), ("≤ 0.25 to 0.50", "≤ 0.0044 to 0.0087", "at least 180 times softer than")),
+        ((500.0, 250.0, 500.0, "high"), ("250 to ≥ 500", "4.4 to ≥ 8.7", "at least 2.8 times stiffer than")),
+        ((20.0, 2.0, 200.0, "low high"), ("≤ 2 to ≥ 200", "≤ 0.035 to ≥ 3.5", "")),
+    ],
+)
+def test_what_is_not_determined_is_beside_cadaver_segments_with_its_range_alone(given, told) -> None:
+    line = beside_cadavers(*given)
+    assert (line["value"], line["per_degree"], line["beside"]) == told and not line["reaches"]
+    assert ("By its whole 95 % interval" in line["sentence"]) == bool(line["beside"])
 
 
 def test_long_lists_and_long_items_are_cut_and_say_so() -> None:

@@ -227,11 +227,11 @@ def doubts(estimate: Estimate, assessment: Assessment, warnings: Sequence[str]) 
     found += [f"Cobb angle at rest: {warning}" for warning in warnings]
     found += _of_prediction(assessment)
     bending = bending_line(estimate)
-    if bending is not None and bending["factor"] is not None:
-        beside = "; the interval reaches them" if bending["overlap"] else ""
+    if bending is not None and bending["beside"]:
+        reaches = "; the interval reaches them" if bending["reaches"] else ""
         found.append(
-            f"{PLAIN['lateral_bending_thoracic']} comes out {bending['verdict']} cadaver segments "
-            f"({bending['band_rad']} N m/rad){beside}: a standing trunk under small forces is not a segment on a bench"
+            f"{PLAIN['lateral_bending_thoracic']} comes out {bending['beside']} cadaver segments "
+            f"({bending['band_rad']} N m/rad){reaches}: a standing trunk under small forces is not a segment on a bench"
         )
     return found + list(dict.fromkeys((*estimate.notes, *assessment.notes)))
 

@@ -28,6 +28,7 @@ from spinestiff.study.wording import (
     UNMEASURABLE,
     badge,
     best_known_text,
+    determined_of,
     estimated,
     factor95,
     fixed,
@@ -177,29 +178,48 @@ def _strip(name: str, ratio: RatioEstimate, bounds: Sequence[float], truth: floa
 
 
 def bending_line(estimate: Estimate) -> dict[str, Any] | None:
-    """The bending stiffness of a level beside cadaver segments."""
+    """The bending stiffness of a level beside cadaver segments; of one that is not determined, its interval."""
     found = estimate.plain["lateral_bending_thoracic"]
     if not _of_several(found) and (found.ratio or "").partition(AT)[0] not in BENDING_RATIOS:
         return None
-    low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
-    value, told = found.value, estimated(found)
-    known = found.low is not None or found.high is not None
-    overlap = known and (found.low is None or found.low <= high) and (found.high is None or found.high >= low)
-    factor, verdict = None, "within the range of"
-    if not low <= value <= high:
-        middle = 0.5 * (low + high)
-        factor = max(value / middle, middle / value)
-        size = "at least" if told.startswith("≤" if value < low else "≥") else "about"
-        verdict = f"{size} {number(factor, 2)} times {'softer' if value < low else 'stiffer'} than"
+    band = (float(np.degrees(BENDING_BAND[0])), float(np.degrees(BENDING_BAND[1])))
+    determined = determined_of(estimate, found.ratio)
+    alone = found.low is None or found.high is None or (determined or found.determination) == "determined"
+    reaches = found.low is not None and _overlap(found, band)
+    beside = ""
+    if alone and not band[0] <= found.value <= band[1]:
+        beside = _apart(found.value, band, "about")
+        sentence = f"The estimate is {beside} the middle of this range"
+        sentence += ", but its 95 % interval reaches the range." if reaches else "."
+    elif alone:
+        sentence = "The estimate lies within this range."
+    elif reaches:
+        sentence = "Its 95 % interval reaches this range, so that the two are not to be told apart."
+    else:
+        nearest = found.high if found.high is not None and found.high < band[0] else found.low
+        assert nearest is not None
+        beside = _apart(nearest, band, "at least")
+        sentence = f"By its whole 95 % interval it is {beside} the middle of this range."
     return {
-        "value": told,
-        "per_degree": estimated(found.scaled(np.pi / 180.0)),
+        "value": short_span(found, determined),
+        "per_degree": short_span(found.scaled(np.pi / 180.0), determined),
         "band": f"{BENDING_BAND[0]:g} to {BENDING_BAND[1]:g}",
-        "band_rad": f"{low:.0f} to {high:.0f}",
-        "verdict": verdict,
-        "factor": factor,
-        "overlap": overlap and factor is not None,
+        "band_rad": f"{band[0]:.0f} to {band[1]:.0f}",
+        "beside": beside,
+        "reaches": alone and reaches,
+        "sentence": sentence,
     }
+
+
+def _overlap(found: Quantity, band: tuple[float, float]) -> bool:
+    above = found.low is None or found.open_low or found.low <= band[1]
+    return above and (found.high is None or found.open_high or found.high >= band[0])
+
+
+def _apart(value: float, band: tuple[float, float], size: str) -> str:
+    middle = 0.5 * (band[0] + band[1])
+    times = max(value / middle, middle / value)
+    return f"{size} {number(times, 2)} times {'softer' if value < middle else 'stiffer'} than"
 
 
 def certainty_content(estimate: Estimate, comparison: Comparison | None) -> dict[str, Any]:
