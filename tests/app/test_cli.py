@@ -99,6 +99,7 @@ COMMANDS = {
         "--views",
         "--under",
         "--json",
+        "--json-all",
     ),
     "parameters": ("--mesh", "--redo", "--json"),
     "sensitivity": ("--mesh", "--redo", "--json"),

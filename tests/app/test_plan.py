@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from spinestiff.app.plan import exposures_of, plan_record, wish_of
+from spinestiff.app.plan import exposures_of, plan_record, single_pushes, wish_of
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study.planning.scene import scene_of
@@ -44,7 +44,7 @@ def at_one_place(monkeypatch):
 
 @pytest.mark.usefixtures("at_one_place", "no_report")
 def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, subject):
-    ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 3)
+    ran = spinestiff("plan", subject, "--json-all", "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 4)
     assert ran.status == 0 and "plan: " in ran.err
     whole = json.loads(ran.out)
     found = whole["next"]
@@ -74,6 +74,9 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     # An unloaded radiograph, the best push, and the other force of it.
     best = found[0]
     assert sheet.count(f'<td>left</td><td class="number">{best["level"]:g}</td>') in (2, 3)
+    # Three radiographs allow no lateral ones.
+    ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 3)
+    assert json.loads(ran.out) == [push for push in found if push["view"] == "frontal"]
     alone = f"{best['level']:g}"
     ran = spinestiff("plan", subject, "--limit", 30, "--ribs", alone, "--side", "left", "--exposures", 3)
     assert ran.status == 0
@@ -83,7 +86,7 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     assert "116 ± 25 N" in ran.out
     # Each plan has a log of its own.
     logs = sorted((results / "logs").glob("*-plan.jsonl"))
-    assert len(logs) == len(list((results / "logs").iterdir())) == 2
+    assert len(logs) == len(list((results / "logs").iterdir())) == 3
     first, *between, last = [json.loads(line) for line in logs[-1].read_text(encoding="utf-8").splitlines()]
     settings = first["settings"]
     assert (first["command"], settings["limit_n"], settings["ribs"]) == ("plan", 30.0, [best["level"]])
@@ -116,6 +119,15 @@ def test_the_json_has_the_sequence_its_frames_and_what_is_expected_of_them():
         ("left", 8.0, 0.0, "frontal"), ("left", 8.0, 0.0, "lateral"), ("left", 8.0, 15.0, "frontal"),
         ("left", 8.0, 15.0, "lateral"), ("left", 8.0, 30.0, "frontal"),
     ]  # fmt: skip
+    assert (
+        single_pushes(PLAN)
+        == found["next"]
+        == [
+            {"side": "left", "level": 8.0, "force_n": 30.0, "view": "frontal", "radiographs": 2, "expected_factor": 1.4}
+        ]
+    )
+    wide = PUSH.model_copy(update={"view": "frontal+lateral", "radiographs": 4, "fits": False})
+    assert single_pushes(PLAN.model_copy(update={"next": (wide, PUSH)})) == found["next"]
     nothing = plan_record(PLAN.model_copy(update={"sequence": (steps[2],)}))
     assert nothing["expected_factor"] is None and nothing["frames"] == []
     angle = PUSH.model_copy(update={"expected_factor": None, "expected_deg": 2.5})

@@ -157,24 +157,31 @@ def _write(visit: Visit, plan: Plan, wish: Wish) -> None:
     write_text(visit.file("protocol.html"), sheet)
 
 
+def _told(plan: Plan, push: PlannedPush) -> dict[str, Any]:
+    names = ("side", "level", "force_n", "view", "radiographs", _size_name(plan))
+    return {name: getattr(push, name) for name in names}
+
+
+def _size_name(plan: Plan) -> str:
+    return "expected_deg" if plan.target == "cobb" else "expected_factor"
+
+
+def single_pushes(plan: Plan) -> list[dict[str, Any]]:
+    """Single pushes for programs (docs/plan.md), best first, as far as the radiographs asked for allow them."""
+    return [_told(plan, push) for push in plan.next if push.fits]
+
+
 def plan_record(plan: Plan) -> dict[str, Any]:
-    """A plan for programs (docs/plan.md); ``plan.json`` holds more of each push."""
-    size = "expected_deg" if plan.target == "cobb" else "expected_factor"
-    names = ("side", "level", "force_n", "view", "radiographs", size)
-
-    def told(push: PlannedPush) -> dict[str, Any]:
-        return {name: getattr(push, name) for name in names}
-
-    worth = pays(plan)
-    columns = ("side", "level", "force_n", "view")
+    """A whole plan for programs (docs/plan.md); ``plan.json`` holds more of each push."""
+    size, worth, columns = _size_name(plan), pays(plan), ("side", "level", "force_n", "view")
     return {
         "target": plan.target,
         "basis": plan.basis,
         "limit_n": plan.limit_n,
         f"now_{size.removeprefix('expected_')}": now_of(plan),
         size: size_of(worth[-1].push) if worth else None,
-        "next": [told(push) for push in plan.next],
-        "sequence": [{**told(step.push), "exposures": step.exposures, "pays": step.pays} for step in plan.sequence],
+        "next": single_pushes(plan),
+        "sequence": [{**_told(plan, one.push), "exposures": one.exposures, "pays": one.pays} for one in plan.sequence],
         "frames": [dict(zip(columns, one)) for one in radiographs_of(plan)],
     }
 
@@ -182,7 +189,7 @@ def plan_record(plan: Plan) -> dict[str, Any]:
 def show_plan(plan: Plan, visit: Visit) -> None:
     """Print what was planned."""
     made = tables.table("One more push", "push", "view", "exposures", "expected, 95 %", left=("view",))
-    for push in plan.next[:SHOWN]:
+    for push in [push for push in plan.next if push.fits][:SHOWN]:
         made.add_row(push_words(push), VIEW_WORDS[push.view], str(push.radiographs), width(plan, size_of(push)))
     tables.show(made)
     columns = ("push", "view", "exposures\nso far", "expected, 95 %", "pays")

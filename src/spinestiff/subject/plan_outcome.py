@@ -17,7 +17,7 @@ class PlannedPush(Outcome):
     Attributes
     ----------
     side : pushed, the patient's. level : rib. force_n : N. view : what is taken of the pushed state.
-    radiographs : that this adds to those before, unloaded ones included.
+    radiographs : that this adds to those before, unloaded ones included. fits : no more than are allowed.
     expected_factor : either way, the 95 % interval of the target ratio once this is taken, too; None where the target
         is an angle.
     expected_deg : either way, of the predicted Cobb angle; None where the target is a ratio.
@@ -29,6 +29,7 @@ class PlannedPush(Outcome):
     force_n: float
     view: PlannedView = "frontal"
     radiographs: int
+    fits: bool = True
     expected_factor: float | None
     expected_deg: float | None = None
     factors: dict[str, float]
@@ -53,7 +54,7 @@ class Plan(OutcomeFile):
     now : factors of all ratios with those alone, by name, to first order as all that is expected here; empty before any
         push. now_deg : of the predicted Cobb angle.
     estimated : factors of the estimate's own intervals, either way on average, by name; empty before any push.
-    next : single pushes, best first, each with an unloaded radiograph of its own.
+    next : single pushes, best first, each with an unloaded radiograph of its own; those that don't fit, too.
     sequence : one after the other, each the best after those before.
     taped : the target's factor (or degrees) with a tape around the trunk, now or, before any push, with the best one;
         None: it is taped.

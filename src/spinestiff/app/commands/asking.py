@@ -63,20 +63,21 @@ def plan(
     under: Annotated[
         str | None, typer.Option(help="With --target cobb: the push it is predicted under, SIDE,RIB,FORCE.")
     ] = None,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print JSON: single pushes, the sequence, its frames and widths.")
+    json: Annotated[bool, typer.Option("--json", help="Print single pushes as a JSON list, the best first.")] = False,
+    json_all: Annotated[
+        bool, typer.Option("--json-all", help="Print JSON: single pushes, the sequence, its frames and widths.")
     ] = False,
 ) -> None:
     """Which push to take next, and when further ones no longer pay; writes a picture and a sheet to print."""
-    from spinestiff.app.plan import exposures_of, plan_next, plan_record, show_plan, wish_of
+    from spinestiff.app.plan import exposures_of, plan_next, plan_record, show_plan, single_pushes, wish_of
     from spinestiff.app.tables import show_json
 
     budget, lateral_cost = exposures_of(exposures, dose, frame_dose, lateral_dose)
     wish = wish_of(target, limit, budget, side, ribs, under, push_limits()[1], views, lateral_cost)
     with at_work(folder, "plan", **asdict(wish)) as (visit, say):
         found = plan_next(visit, wish, say)
-    if json:
-        show_json(plan_record(found))
+    if json or json_all:
+        show_json(plan_record(found) if json_all else single_pushes(found))
     else:
         show_plan(found, visit)
 

@@ -85,6 +85,7 @@ def composed(
             force_n=frame.force_n,
             view=option.candidate.view,
             radiographs=len(option.added),
+            fits=option.cost <= wish.exposures + ROUNDING,
             expected_factor=factors[RATIO_OF[wish.target]] if ratio else None,
             expected_deg=None if ratio or width.degrees is None else round(width.degrees, 2),
             factors=factors,
