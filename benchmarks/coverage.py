@@ -45,7 +45,7 @@ else:
 
 from counted_intervals import NAMES, headline, markdown, paired, read_logs, short_table, show, summarised
 from coverage_rendered import rendered_subject
-from coverage_subjects import START, Acquisition, make_subject, seen_by
+from coverage_subjects import COARSE_NODES, START, Acquisition, make_subject, seen_by
 from kept_rows import code, keep, prepare
 from told_intervals import solved_at_truth, told
 
@@ -81,14 +81,16 @@ class Scenario:
 
 
 SCENARIOS = {
-    "coarse pair, three pushes": Scenario("three pushes", 3300, "coarse", 43000, 460),
-    "coarse pair, the paper's acquisition": Scenario("paper", 3300, "coarse", 43000, 460),
+    "coarse pair, three pushes": Scenario("three pushes", COARSE_NODES, "coarse", 43000, 460),
+    "coarse pair, the paper's acquisition": Scenario("paper", COARSE_NODES, "coarse", 43000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 42000, 140),
     "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
-    "four frames at Table 4's mean": Scenario("four frames", 2300, "coarse", 74000, 30, truth=tuple(START.values())),
-    "pushes as planned": Scenario("both sides", 2300, "coarse", 72000, 60),
-    "settings, three pushes": Scenario("three pushes", 2300, "coarse", 0, 230),
-    "settings, the paper's acquisition": Scenario("paper", 2300, "coarse", 500, 230),
+    "four frames at Table 4's mean": Scenario(
+        "four frames", COARSE_NODES, "coarse", 74000, 30, truth=tuple(START.values())
+    ),
+    "pushes as planned": Scenario("both sides", COARSE_NODES, "coarse", 72000, 60),
+    "settings, three pushes": Scenario("three pushes", COARSE_NODES, "coarse", 0, 230),
+    "settings, the paper's acquisition": Scenario("paper", COARSE_NODES, "coarse", 500, 230),
     "settings, default chain": Scenario("three pushes", 15000, "fine", 100, 60),
 }
 

@@ -75,6 +75,9 @@ COBB_DEG = (10.0, 80.0)
 START = {"lateral_bending": 0.07, "tissue": 0.04}
 """Ratios where a fit of a subject begins, Table 4's mean."""
 ANNOTATION_MM = 0.3
+COARSE_NODES = 3300
+"""Of a truth's mesh, as asked of the mesher, beside an estimate on the coarse mesh: with fewer a truth is coarser than
+the estimate, and comes out too stiff."""
 # What a subject's body has that the model lacks; the four others are the kinds that all have.
 KINDS = ("disc centres", "stiffening", "layers", "", "", "", "")
 RAISED = np.array([float(act == "height") for act in ACTS])

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from counted_intervals import NAMES, countable, summarised
-from coverage_subjects import START, Acquisition, make_subject, seen_by
+from coverage_subjects import COARSE_NODES, START, Acquisition, make_subject, seen_by
 from kept_rows import asked_for, begun, code, keep
 from told_intervals import solved_at_truth, told
 
@@ -43,7 +43,7 @@ from spinestiff.study.trials import PushSet
 
 RESULTS = Path(__file__).parent / "results" / "own_model.json"
 ACQUISITIONS: tuple[Acquisition, ...] = ("paper", "three pushes", "both sides")
-FIRST, NODES = 71000, 2300
+FIRST, NODES = 71000, COARSE_NODES
 NUISANCES_BY = (0.0, 0.5, 1.0)  # shares of the drawn unknowns, on the way to their equilibria
 
 

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coverage_subjects import START, PlacedPush, Subject, make_subject, seen_by
+from coverage_subjects import COARSE_NODES, START, PlacedPush, Subject, make_subject, seen_by
 from kept_rows import asked_for, begun, keep
 
 from spinestiff.errors import FitError, SpinestiffError
@@ -47,7 +47,7 @@ RESULTS = Path(__file__).parent / "results" / "plan.json"
 NAMES = ("lateral_bending", "tissue")
 # Standard deviation of the true ratios' logs about START: Table 4's bending, and its tissue.
 SPREAD = {"lateral_bending": 1.3, "tissue": 0.9}
-FIRST, NODES, FRAMES = 8000, 2300, 3
+FIRST, NODES, FRAMES = 8000, COARSE_NODES, 3
 PAPER = {
     "main": PlacedPush(
         8.0, ((0.0, "unused"), (1 / 3, "training"), (2 / 3, "training"), (1.0, "training")), force_n=COMFORT_N

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coverage_subjects import START, make_subject, seen_by
+from coverage_subjects import COARSE_NODES, START, make_subject, seen_by
 from kept_rows import asked_for, begun, keep
 
 from spinestiff.errors import SpinestiffError
@@ -33,7 +33,7 @@ from spinestiff.subject.outcome_parts import Quantity
 
 RESULTS = Path(__file__).parent / "results" / "repeatability.json"
 NAMES = ("lateral_bending", "tissue")
-FIRST, NODES = 7000, 2300
+FIRST, NODES = 7000, COARSE_NODES
 
 
 def run_one(seed: int, visit: int, annotator: int) -> dict[str, Any]:

@@ -72,7 +72,7 @@ PLANNED_PUSHES = (
     SyntheticPush("rib-7", level=7.0, shares=(0.0, 2 / 3, 1.0), roles=("unused", "validation", "validation")),
 )
 ACQUISITIONS: Mapping[str, tuple[SyntheticPush, ...]] = {"planned": PLANNED_PUSHES, "paper": PAPER_PUSHES}
-"""Of a visit: the three loaded frames that ``spinestiff plan`` proposes first on the convex side, before any push, with
+"""Of a visit: three loaded frames at two ribs far apart, as ``spinestiff plan`` proposes them on the convex side, with
 another rib held out; and the paper's, a third and two thirds of the force at one rib, with the whole of it and another
 rib held out."""
 
