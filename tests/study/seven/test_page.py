@@ -207,10 +207,11 @@ def test_intervals_that_hold_too_few_truths_are_told_as_such():
 
 
 def test_who_has_no_outcome_is_named_with_the_reason():
-    lacking = {"subject-3": "no equilibrium", "other-06": "MemoryError: no room", "other-07": None, "other-08": None}
+    lacking = {"subject-3": "no equilibrium", "other-06": "MemoryError: no room"}
+    lacking |= dict.fromkeys(["other-07", "other-08", "other-28", "other-29", "other-30"])
     text = page([outcome(1), *[None] * 6], [outcome(2, name="other-01")], lacking=lacking)
     told = "Without an outcome because something failed: subject-3 (no equilibrium); other-06 (MemoryError: no room)."
-    assert f"\n\n{told} No run has come to the end of other-07 and other-08.\n\n" in text
+    assert f"\n\n{told} No run has come to the end of other-07, other-08 and other-28 to other-30.\n\n" in text
     assert "Without an outcome" not in page([outcome(1)]) and "No run has come" not in page([outcome(1)])
 
 

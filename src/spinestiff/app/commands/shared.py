@@ -111,7 +111,7 @@ SpineId = Annotated[str | None, typer.Option(help="Which spine of the table.")]
 Acquisition = Annotated[
     str,
     typer.Option(
-        help="planned: two ribs far apart, in the way of spinestiff plan; paper: one rib at a third and two thirds of the force.",
+        help="planned: two ribs far apart, as plans propose; paper: one rib at a third and two thirds of the force.",
         autocompletion=offering("planned", "paper"),
     ),
 ]

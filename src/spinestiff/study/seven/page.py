@@ -167,10 +167,10 @@ not know:
 
 What truth and estimator share: the template (of the subject's age, sex and height; subjects made until 2026-11-29 are
 the girl of 13 scaled to the height, as estimates found until then were), the tissue's linear law and homogeneity, the
-ribs' joints, the wall, the X-ray geometry. And the estimate does not know the errors, but how large such errors are:
-those of gauge, felt ribs and marks are drawn with the standard deviations of its [priors](estimation.md), and the
-covariance of the geometry's error, with its size, which the rest radiograph shows, is added to the geometry's own. So
-intervals are tried where errors are as large as they are taken to be.
+ribs' joints, the wall, the point from which X-rays project. And the estimate does not know the errors, but how large
+such errors are: those of gauge, felt ribs and marks are drawn with the standard deviations of its
+[priors](estimation.md), and the covariance of the geometry's error, with its size, which the rest radiograph shows, is
+added to the geometry's own. So intervals are tried where errors are as large as they are taken to be.
 
 Ratios: the paper's default tissue is not public. Here a ratio of 1 is the tissue at which the paper's seven bodies
 show the force per degree that was measured with the paper's set-up
@@ -232,8 +232,19 @@ def _without(lacking: Mapping[str, str | None]) -> list[str]:
     failed = [f"{name} ({reason})" for name, reason in lacking.items() if reason is not None]
     waiting = [name for name, reason in lacking.items() if reason is None]
     words = [f"Without an outcome because something failed: {'; '.join(failed)}."] if failed else []
-    words += [f"No run has come to the end of {listed(waiting)}."] if waiting else []
+    words += [f"No run has come to the end of {listed(_ranges(waiting))}."] if waiting else []
     return [" ".join(words)] if words else []
+
+
+def _ranges(names: Sequence[str]) -> list[str]:
+    """Names that end in numbers, three and more in a row as "other-09 to other-30"."""
+    rows: list[list[str]] = []
+    for name in names:
+        if rows and int(name.rpartition("-")[2]) == int(rows[-1][-1].rpartition("-")[2]) + 1:
+            rows[-1].append(name)
+        else:
+            rows.append([name])
+    return [words for row in rows for words in ([f"{row[0]} to {row[-1]}"] if len(row) > 2 else row)]
 
 
 def _their_forces(further: Sequence[SubjectOutcome]) -> str:
