@@ -53,6 +53,8 @@ class Row(NamedTuple):
     force_n: float
     bending: float
     tissue: float
+    age: float = 13.0
+    sex: paper.Sex = "female"
 
 
 SUBJECTS = tuple(Row(*(getattr(one, name) for name in Row._fields)) for one in paper.SUBJECTS)
@@ -74,7 +76,7 @@ class Body:
     """A subject's torso, ready to be pushed at any tissue modulus."""
 
     def __init__(self, row: Row, mesh: str, pelvis: str = "level", tissue: str = "tied") -> None:
-        template = template_torso(row.height_cm, mesh)
+        template = template_torso(row.height_cm, mesh, age_years=row.age, sex=row.sex)
         self.row, self.tissue = row, tissue
         self.torso = place_vertebrae(template, *curved_spine(template, row.cobb_deg, row.curve))
         if tissue == "literal":

@@ -175,7 +175,7 @@ added to the geometry's own. So intervals are tried where errors are as large as
 Ratios: the paper's default tissue is not public. Here a ratio of 1 is the tissue at which the paper's seven bodies
 show the force per degree that was measured with the paper's set-up
 ([how](validation.md#youngs-modulus-of-the-default-tissue)): 204.5 kPa on the fine mesh, found with the girl of 13
-scaled to their heights, whose trunks differ from those of their age and sex by up to 4 %. So the truth is Table 4's
+scaled to their heights (with bodies of their age and sex it would be 168.5 kPa). So the truth is Table 4's
 ratio of tissue times {TISSUE_SCALE:.3f} over the package's default of 150 kPa, and Table 4's ratio of bending as it
 is.
 
