@@ -20,8 +20,8 @@ from spinestiff.subject.records import Role
 
 CALIBRATED_MPA = 0.2045
 """On the fine mesh, to which a subject's own is nearest, as benchmarks/calibrate_tissue.py found it on 2026-11-22 with
-the girl of 13 scaled to the subjects' heights. It decides the truths, so it stays though bodies of their age and sex give
-another (docs/validation.md)."""
+the girl of 13 scaled to the subjects' heights. It decides the truths, so it stays, though bodies of their age and sex
+give another (docs/validation.md)."""
 TISSUE_SCALE = CALIBRATED_MPA / DEFAULT_YOUNG_MPA
 PUSHED_RIB = {"thoracic": 6.1, "thoracolumbar": 9.9, "lumbar": 10.0}
 """Rib whose lateral point lies at the height of a curve's apex (docs/validation.md); where the paper pushed it does not
