@@ -313,8 +313,8 @@ def pad(mesh: str) -> Found:
 def _turned_little(both: float, inwards: float, upwards: float, behind: float) -> str:
     """Why a pad turns the apex little, from its turns under both forces, under each, and 60 mm behind."""
     if max(abs(inwards), abs(upwards)) > 2.0 * abs(both):
-        why = f"the two forces turn it against each other: {inwards:+.1f} and {upwards:+.1f} alone, {behind:+.1f} both"
-        return f"{why} 60 mm behind; the linkage has its turn prescribed"
+        why = f"the two forces turn it against each other: {inwards:+.1f} and {upwards:+.1f} alone"
+        return f"{why}; both together, 60 mm behind, {behind:+.1f}; the linkage has its turn prescribed"
     return (
         f"a push on the rib's lateral point has little arm about the spine: 60 mm behind it {behind:+.1f} in place of "
         f"{both:+.1f}; the linkage has its turn prescribed"

@@ -75,7 +75,7 @@ def test_the_page_and_tables_of_what_is_there(spinestiff, study, tmp_path):
     assert "Goals, 1 of 7 subjects" in shown.out and f"page: {page}" in shown.out.replace("\n", "")
     text = page.read_text(encoding="utf-8")
     assert "**1 of the 7 subjects**" in text and "on the coarse mesh" in text
-    assert "No run has come to the end of subject-2 to subject-7." in text
+    assert "No outcome, and no reason noted, of subject-2 to subject-7." in text
     for number in (2, 4):
         assert f"(images/study-figure-{number}.png)" in text
         assert (page.parent / "images" / f"study-figure-{number}.png").stat().st_size > 10_000

@@ -98,7 +98,8 @@ def seven(
         )
     found_names = {found.name for found in (*first, *further) if found is not None}
     asked_for = [*those_seven(), *(thirty() if further or others else ())]
-    lacking = {one.name: stored_failure(folder, one) for one in asked_for if one.name not in found_names}
+    reasons = {one.name: stored_failure(folder, one, settings) for one in asked_for}
+    lacking = {name: why for name, why in reasons.items() if name not in found_names or why is not None}
     written = write_page(
         folder, place, first, further, settings, lacking, lambda line: typer.echo(f"warning: {line}", err=True)
     )

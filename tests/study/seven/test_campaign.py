@@ -39,11 +39,12 @@ def test_subjects_that_fail_leave_the_others_alone(tmp_path):
 
 def test_why_a_subject_failed_is_kept_until_it_no_longer_does(tmp_path):
     run(tmp_path, 1)
-    assert [stored_failure(tmp_path, one) for one in FIRST] == [None, "no equilibrium", None]
+    assert [stored_failure(tmp_path, one, SETTINGS) for one in FIRST] == [None, "no equilibrium", None]
     failure_file(tmp_path, FIRST[0]).write_text("{")
-    assert stored_failure(tmp_path, FIRST[0]) is None
+    assert stored_failure(tmp_path, FIRST[0], SETTINGS) is None
+    assert stored_failure(tmp_path, FIRST[1], Settings(mesh="fine")) is None
     run_study(tmp_path, FIRST[1:2], SETTINGS, lambda name, line: None, 1, lambda *asked: outcome(2))
-    assert stored_failure(tmp_path, FIRST[1]) is None and not failure_file(tmp_path, FIRST[1]).exists()
+    assert stored_failure(tmp_path, FIRST[1], SETTINGS) is None and not failure_file(tmp_path, FIRST[1]).exists()
 
 
 def test_a_reason_that_can_not_be_written_is_no_failure_of_the_others(tmp_path):

@@ -211,8 +211,14 @@ def test_who_has_no_outcome_is_named_with_the_reason():
     lacking |= dict.fromkeys(["other-07", "other-08", "other-28", "other-29", "other-30"])
     text = page([outcome(1), *[None] * 6], [outcome(2, name="other-01")], lacking=lacking)
     told = "Without an outcome because something failed: subject-3 (no equilibrium); other-06 (MemoryError: no room)."
-    assert f"\n\n{told} No run has come to the end of other-07, other-08 and other-28 to other-30.\n\n" in text
-    assert "Without an outcome" not in page([outcome(1)]) and "No run has come" not in page([outcome(1)])
+    assert f"\n\n{told} No outcome, and no reason noted, of other-07, other-08 and other-28 to other-30.\n\n" in text
+    assert "Without an outcome" not in page([outcome(1)]) and "No outcome" not in page([outcome(1)])
+
+
+def test_the_seven_and_the_others_are_no_row_of_names():
+    lacking = dict.fromkeys(["subject-6", "subject-7", "other-08", "other-09"])
+    text = page([outcome(1)], lacking=lacking)
+    assert "no reason noted, of subject-6, subject-7, other-08 and other-09.\n" in text
 
 
 def test_the_others_have_their_intervals_failed_checks_and_what_could_not_be_found():

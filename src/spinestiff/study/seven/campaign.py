@@ -62,7 +62,7 @@ def run_study(
             failures[one.name] = result
         else:
             outcomes[one.name] = result
-        note_failure(folder, one, failures.get(one.name))
+        note_failure(folder, one, settings, failures.get(one.name))
         on_line(one.name, f"{FAILED}{failures[one.name]}" if one.name in failures else DONE)
 
     for one in participants:

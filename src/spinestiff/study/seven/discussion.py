@@ -37,7 +37,8 @@ TIMES_INITIAL, TIMES_TRAINING, COBB_TIMES = 1.5, 1.25, 4.6
 _MOTION = (
     "How far a subject moves follows from its ratios, the calibrated default tissue, where it is pushed and how it "
     "is held. "
-    "The calibration meets the median force per degree of seven bodies, not that of each, and the paper does not "
+    "The calibration meets the median force per degree of seven bodies (of a girl of 13 scaled to the subjects' "
+    "heights), not that of each, and the paper does not "
     "say at "
     "which rib it pushed ([forward tests](validation.md#forward-tests-that-nothing-was-fitted-to))"
 )
@@ -89,8 +90,8 @@ REASONS: Mapping[tuple[int, str], str] = {
         "that holds the truth"
     ),
     (4, RATIOS["tissue"]): (
-        f"The truth is the paper's ratio times {TISSUE_SCALE:.3f}: the stiffness at which such bodies show the "
-        "force per "
+        f"The truth is the paper's ratio times {TISSUE_SCALE:.3f}: the stiffness at which a girl of 13 scaled to the "
+        "subjects' heights shows the force per "
         "degree that was measured with the paper's set-up, over the package's default of 150 kPa"
     ),
     (
@@ -105,10 +106,13 @@ REASONS: Mapping[tuple[int, str], str] = {
     (6, "Diff in validation pose (measured)"): _MOTION,
     (6, "Diff in validation pose (default params)"): (
         "The paper's default row has changes of up to 16° beside an RMSE that is about the whole motion; a signed "
-        "angle whose curve changes sides explains that ([decided](errata.md#not-stated-and-decided-here)), here as "
-        "there: the lines of the other two forms do not jump"
+        "angle whose curve changes sides explains that ([decided](errata.md#not-stated-and-decided-here)). Where ours "
+        "are as small as in the other two forms, nothing jumped here"
     ),
-    (6, "Diff in validation pose (optimized params)"): "It follows the measured change above it",
+    (6, "Diff in validation pose (optimized params)"): (
+        "The signed largest angle passes from one curve to another, in the estimate's picture not in the same subjects "
+        "as in the radiograph; between fixed levels nothing jumps, and there estimate and radiograph agree"
+    ),
     (7, "Intervertebral lateral bending"): _FORCE,
     (7, "Lamé parameter μ"): (
         "Ours scales both Lamé parameters, the paper keeps λ, so that the whole change of the tissue's stiffness falls "
@@ -125,7 +129,7 @@ def differing(table: PaperTable) -> list[str]:
     over a tenth of the mean size of the paper's numbers. All of this is over the subjects for which ours has a number.
     """
     printed = {line.label: line for line in table.lines if line.whose == PAPER}
-    found, said = list[str](), set[str]()
+    found, last = list[str](), ""
     for line in table.lines:
         paper = printed.get(line.label)
         if line.whose != OURS or line.mean is None or paper is None or paper.mean is None:
@@ -136,8 +140,8 @@ def differing(table: PaperTable) -> list[str]:
         if abs(line.mean - paper.mean) <= DIFFERS * abs(paper.mean) and off <= DIFFERS * size:
             continue
         reason = REASONS[table.number, line.label]
-        words = "For the same reason" if reason in said else reason
-        said.add(reason)
+        words = "For the same reason" if reason == last else reason
+        last = reason
         of = "" if len(both) == len(line.values) else f" ({len(both)} of {len(line.values)} subjects)"
         digits = max(len(cell.partition(".")[2]) for cell in (line.average, paper.average))
         apart = f"{fixed(off, digits)} apart in the mean over subjects"

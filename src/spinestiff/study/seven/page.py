@@ -93,7 +93,7 @@ def page_text(
     Parameters
     ----------
     first : the seven, None where there is no outcome. further : the others that there are.
-    lacking : participants without an outcome, by name: why the last run found none, None where none came to it.
+    lacking : participants without an outcome, by name: why the last run found none, None where nothing was noted.
     date : of the page. program : ``subject.program.program_of_numbers`` of whoever writes it.
     mesh : of the estimates.
     """
@@ -218,9 +218,9 @@ frame shows what the estimated stiffness does by itself. The estimate's own plac
 extrapolated tracking, from the unloaded frame on, does not."""
 
 FORWARD = """The change of the Cobb angle in Table 2 is a forward test of the paper's numbers: Table 4's ratios under
-Table 2's forces, with nothing fitted but the median force per degree. What moves it (supports, wall, the tissue's
-law, element) is measured row by row in [forward tests](validation.md#forward-tests-that-nothing-was-fitted-to): the
-supports most."""
+Table 2's forces, with nothing fitted but the median force per degree (of a girl of 13 scaled to the subjects'
+heights). What moves it (supports, wall, the tissue's law, element) is measured row by row in
+[forward tests](validation.md#forward-tests-that-nothing-was-fitted-to): the supports most."""
 
 
 TIME_ABOUT = """CPU seconds a subject on one thread; other work on the machine changes them less than the clock's.
@@ -232,7 +232,7 @@ def _without(lacking: Mapping[str, str | None]) -> list[str]:
     failed = [f"{name} ({reason})" for name, reason in lacking.items() if reason is not None]
     waiting = [name for name, reason in lacking.items() if reason is None]
     words = [f"Without an outcome because something failed: {'; '.join(failed)}."] if failed else []
-    words += [f"No run has come to the end of {listed(_ranges(waiting))}."] if waiting else []
+    words += [f"No outcome, and no reason noted, of {listed(_ranges(waiting))}."] if waiting else []
     return [" ".join(words)] if words else []
 
 
@@ -240,7 +240,8 @@ def _ranges(names: Sequence[str]) -> list[str]:
     """Names that end in numbers, three and more in a row as "other-09 to other-30"."""
     rows: list[list[str]] = []
     for name in names:
-        if rows and int(name.rpartition("-")[2]) == int(rows[-1][-1].rpartition("-")[2]) + 1:
+        (kind, _, number), (before, _, last) = name.rpartition("-"), (rows[-1][-1] if rows else "").rpartition("-")
+        if kind == before and int(number) == int(last) + 1:
             rows[-1].append(name)
         else:
             rows.append([name])

@@ -63,20 +63,20 @@ def failure_file(folder: Path, participant: Participant) -> Path:
     return folder / f"{participant.name}.failed.json"
 
 
-def note_failure(folder: Path, participant: Participant, reason: str | None) -> None:
+def note_failure(folder: Path, participant: Participant, settings: Settings, reason: str | None) -> None:
     """Keep why a subject has no outcome, for the page; None takes it away. What can't be written is not kept."""
     path = failure_file(folder, participant)
     try:
         if reason is None:
             path.unlink(missing_ok=True)
         else:
-            write_json(path, {"reason": reason, "program": program_of_numbers()})
+            write_json(path, {"reason": reason, "settings": settings_digest(participant, settings)})
     except (OSError, SpinestiffError) as error:
         _log.warning("%s: can't be written (%s)", path, error)
 
 
-def stored_failure(folder: Path, participant: Participant) -> str | None:
-    """Why the last run found no outcome, or None: it found one, or has not come to this subject."""
+def stored_failure(folder: Path, participant: Participant, settings: Settings) -> str | None:
+    """Why the last run found no outcome with these settings, or None: it found one, or has not come to this subject."""
     path = failure_file(folder, participant)
     if not path.is_file():
         return None
@@ -84,7 +84,9 @@ def stored_failure(folder: Path, participant: Participant) -> str | None:
         found = read_json(path)
     except SpinestiffError:
         return None
-    return str(found["reason"]) if isinstance(found, dict) and "reason" in found else None
+    if not isinstance(found, dict) or found.get("settings") != settings_digest(participant, settings):
+        return None
+    return str(found.get("reason"))
 
 
 def usable_folder(folder: Path) -> None:
