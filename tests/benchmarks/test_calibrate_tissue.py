@@ -27,8 +27,8 @@ def test_every_stored_calibration_is_of_the_papers_seven():
 
 @pytest.mark.parametrize("mesh", ["coarse", "fine"])
 def test_the_default_modulus_is_near_the_calibrated_one(mesh):
-    """It was the coarse mesh's to two digits, and stays, so that ratios of tissue stay what they were: with bodies of the
-    subjects' age and sex the coarse mesh has 6 % more, the fine one 12 %."""
+    """It stays, so that ratios of tissue stay what they were: with bodies of the subjects' age and sex the coarse mesh
+    has 6 % more, the fine one 12 %."""
     stored = json.loads((RESULTS / f"calibrate_tissue_{mesh}.json").read_text(encoding="utf-8"))
     assert stored["pelvis"] == inspect.signature(three_point_supports).parameters["pelvis"].default
     assert stored["young_mpa"] == pytest.approx(DEFAULT_YOUNG_MPA, rel=0.13)
