@@ -210,9 +210,12 @@ def test_who_has_no_outcome_is_named_with_the_reason():
     lacking = {"subject-3": "no equilibrium", "other-06": "MemoryError: no room"}
     lacking |= dict.fromkeys(["other-07", "other-08", "other-28", "other-29", "other-30"])
     text = page([outcome(1), *[None] * 6], [outcome(2, name="other-01")], lacking=lacking)
-    told = "Without an outcome because something failed: subject-3 (no equilibrium); other-06 (MemoryError: no room)."
-    assert f"\n\n{told} No outcome, and no reason noted, of other-07, other-08 and other-28 to other-30.\n\n" in text
-    assert "Without an outcome" not in page([outcome(1)]) and "No outcome" not in page([outcome(1)])
+    told = (
+        "The last run failed for subject-3 (no equilibrium); other-06 (MemoryError: no room); what is told of them is"
+    )
+    waiting = "No outcome, and no reason noted, of other-07, other-08 and other-28 to other-30."
+    assert f"\n\n{told} of an earlier one. {waiting}\n\n" in text
+    assert "The last run failed" not in page([outcome(1)]) and "No outcome" not in page([outcome(1)])
 
 
 def test_the_seven_and_the_others_are_no_row_of_names():

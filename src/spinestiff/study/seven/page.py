@@ -93,7 +93,7 @@ def page_text(
     Parameters
     ----------
     first : the seven, None where there is no outcome. further : the others that there are.
-    lacking : participants without an outcome, by name: why the last run found none, None where nothing was noted.
+    lacking : participants by name: why the last run found no outcome; None where there is none and nothing was noted.
     date : of the page. program : ``subject.program.program_of_numbers`` of whoever writes it.
     mesh : of the estimates.
     """
@@ -228,10 +228,12 @@ TIME_ABOUT = """CPU seconds a subject on one thread; other work on the machine c
 
 
 def _without(lacking: Mapping[str, str | None]) -> list[str]:
-    """A paragraph on who has no outcome and why; none where all have one."""
+    """A paragraph on who has no outcome, or none of the last run, and why; none where all have one."""
     failed = [f"{name} ({reason})" for name, reason in lacking.items() if reason is not None]
     waiting = [name for name, reason in lacking.items() if reason is None]
-    words = [f"Without an outcome because something failed: {'; '.join(failed)}."] if failed else []
+    words = (
+        [f"The last run failed for {'; '.join(failed)}; what is told of them is of an earlier one."] if failed else []
+    )
     words += [f"No outcome, and no reason noted, of {listed(_ranges(waiting))}."] if waiting else []
     return [" ".join(words)] if words else []
 
