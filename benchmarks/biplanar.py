@@ -56,6 +56,7 @@ from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fitted import StiffnessFit
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.load_acts import changed_load, load_changes
 from spinestiff.estimation.objective import Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
@@ -76,7 +77,7 @@ from spinestiff.study.elastic_supports import drawn_supports, elastic_supports, 
 from spinestiff.study.fits import fit_pushes
 from spinestiff.study.spines import curved_spine
 from spinestiff.study.synthetic_markers import spread_markers
-from spinestiff.study.trials import Known, PushSet, PushTrial, push_set
+from spinestiff.study.trials import PushSet, PushTrial, push_set
 from spinestiff.subject.outcomes import MarkerTracks, TrackedPush
 from spinestiff.subject.records import PushRecord
 
@@ -341,7 +342,7 @@ def rigs() -> list[dict[str, Any]]:
                         for trial, state in zip(trials, states)
                     ]
                 trial_set = TrialSet([problem] * 2, trials[1:], ratios.groups, "procrustes", None)
-                asked = WeighedProblem(trial_set, [(problem, trials[0])], "procrustes", Priors(), None, False)
+                asked = WeighedProblem(trial_set, [(problem, trials[0])], "procrustes", Known())
                 nothing = np.zeros(len(asked.unknowns))
                 point = asked.solve(np.log(ratios.values), nothing, starts=states[1:])
                 slope = asked.slope(point)

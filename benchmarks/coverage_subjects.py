@@ -51,6 +51,7 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.discrepancy_data import Mesh
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.load_acts import changed_load, load_changes
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS, LAMBDA_SHARE
@@ -65,7 +66,7 @@ from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.elastic_supports import SyntheticSupports, drawn_supports, elastic_supports, support_stiffness
 from spinestiff.study.spines import CURVES, curved_spine
-from spinestiff.study.trials import Known, PushSet, push_set
+from spinestiff.study.trials import PushSet, push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role
 

@@ -25,9 +25,9 @@ from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.budget import prior_changes, variance_budget
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import FitCost, TrialSet
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.mode import likeliest
 from spinestiff.estimation.objective import Trial
-from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import likely_ratios
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights, phi, reduced
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
@@ -71,7 +71,7 @@ def subject(seed: int, mesh: str) -> WeighedProblem:
         load = rib_push(model, "right", LEVEL, force)
         trials.append(Trial(load, seen(state, TRACKING_MM), view, f"{force:g} N", "push"))
     trial_set = TrialSet([fitted] * len(trials), trials, truth.groups, "procrustes", None)
-    return WeighedProblem(trial_set, [(fitted, still)], "procrustes", Priors(), None, False)
+    return WeighedProblem(trial_set, [(fitted, still)], "procrustes", Known())
 
 
 def fitted(problem: WeighedProblem, ratios: list[float]) -> tuple[WeighedFit | None, dict[str, object]]:

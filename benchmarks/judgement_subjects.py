@@ -34,6 +34,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.estimation.fitted import StiffnessFit
+from spinestiff.estimation.known import Known
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.tracking.quality import quality_of
@@ -47,7 +48,7 @@ from spinestiff.personalise.sizes import resized
 from spinestiff.study.fits import fit_pushes
 from spinestiff.study.spines import CURVES, curved_spine
 from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE
-from spinestiff.study.trials import Known, PushSet, push_set
+from spinestiff.study.trials import PushSet, push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role
 

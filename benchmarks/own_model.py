@@ -70,8 +70,7 @@ def asked_with(pushes: PushSet, ratios: Mapping[str, float], cobb_deg: float) ->
     still = [one for one in both if one[1].load.size == 0.0]
     groups = parameter_groups(pushes.torso, NAMES)
     trial_set = TrialSet([p for p, _ in loaded], [t for _, t in loaded], groups, pushes.orientation, None)
-    known = pushes.known
-    problem = WeighedProblem(trial_set, still, pushes.orientation, known.priors, known.geometry, known.taped)
+    problem = WeighedProblem(trial_set, still, pushes.orientation, pushes.known)
     return Asked(pushes, np.log([ratios[name] for name in NAMES]), cobb_deg, problem)
 
 

@@ -28,6 +28,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.estimation.budget import Budget, variance_budget
 from spinestiff.estimation.evaluation import TrialSet
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
@@ -82,7 +83,7 @@ def budget_of(
             loaded.append(Trial(load, seen, view, f"{name} {force:g} N", name))
     groups = tuple(parameter_group(name, torso.joints.kinds) for name in NAMES)
     trials = TrialSet([problem] * len(loaded), loaded, groups, "procrustes", None)
-    asked = WeighedProblem(trials, still, "procrustes", Priors(), geometry, taped=False)
+    asked = WeighedProblem(trials, still, "procrustes", Known(geometry=geometry))
     at = asked.solve(np.log(point), np.zeros(len(asked.unknowns)))
     slope = asked.slope(at)
     return variance_budget(asked, WeighedFit(at, slope, asked.as_expected(at), FitStatus.CONVERGED, ()))

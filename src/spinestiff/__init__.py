@@ -35,7 +35,9 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.curves.corner_files import write_corners as write_corners
     from spinestiff.errors import OutsideWarning as OutsideWarning
     from spinestiff.errors import SpinestiffError as SpinestiffError
+    from spinestiff.estimation.asked import Start as Start
     from spinestiff.estimation.fit import fit_stiffness as fit_stiffness
+    from spinestiff.estimation.known import Known as Known
     from spinestiff.estimation.objective import Trial as Trial
     from spinestiff.estimation.priors import Priors as Priors
     from spinestiff.imaging.features import VertebraCorners as VertebraCorners
@@ -115,6 +117,8 @@ _MODULES = {
     "imaging.synthetic.collimation": ("Collimation",),
     "estimation.objective": ("Trial",),
     "estimation.fit": ("fit_stiffness",),
+    "estimation.asked": ("Start",),
+    "estimation.known": ("Known",),
     "estimation.priors": ("Priors",),
     "curves.cobb": ("read_cobb",),
     "curves.corner_files": ("read_corner_file", "read_corners", "write_corners"),

@@ -317,7 +317,7 @@ def test_a_report_with_another_truth_asks_for_its_comparison(spinestiff, subject
 def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
     asked = []
 
-    def fit(coarse, pushes, names, start, method, observer, say, population):
+    def fit(coarse, pushes, names, start, method, observer, say):
         asked.append((method, pushes.orientation))
         return finished.fit
 
@@ -332,8 +332,8 @@ def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
 def test_parameters_and_population_reach_the_fit(spinestiff, subject, finished, monkeypatch):
     asked = []
 
-    def fit(coarse, pushes, names, *args, population):
-        asked.append((names, population))
+    def fit(coarse, pushes, names, *args):
+        asked.append((names, pushes.known.population))
         return finished.fit
 
     monkeypatch.setattr(steps, "fit_from_coarse", fit)

@@ -16,6 +16,7 @@ from spinestiff.anatomy.tissue_points import PointsOnTissue
 from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import TrialSet
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.mode import likeliest, search
 from spinestiff.estimation.objective import Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
@@ -187,7 +188,7 @@ class Column:
     ) -> WeighedProblem:
         loaded = [trial for trial in trials if trial.load.size]
         still = [(self.problem, trial) for trial in trials if not trial.load.size]
-        return WeighedProblem(self.trial_set(loaded, names), still, "procrustes", priors or Priors(), None, False)
+        return WeighedProblem(self.trial_set(loaded, names), still, "procrustes", Known(priors or Priors()))
 
     def searched(
         self, problem: WeighedProblem, start: Sequence[float] = (1.0, 1.0), max_evaluations: int = 50

@@ -12,10 +12,12 @@ from spinestiff.anatomy.stiffness import RATIO_BOUNDS, parameter_group
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation import mode, profiles
+from spinestiff.estimation.asked import Start
 from spinestiff.estimation.ended import likelihood_rise
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.estimation.fitted import METHODS, FitEnd
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
@@ -42,7 +44,9 @@ def whole(column, noisy):
 @pytest.mark.parametrize("truth", [{"lateral_bending": 0.3, "tissue": 0.4}, {"lateral_bending": 1.7, "tissue": 0.6}])
 def test_eq_8_ratios_are_recovered_without_noise(column, method, truth, known_exactly) -> None:
     trials = column.trials(truth)
-    fit = fit_stiffness(column.problem, trials, method=method, bounds=BOUNDS, extent="estimate", priors=known_exactly)
+    fit = fit_stiffness(
+        column.problem, trials, method=method, bounds=BOUNDS, extent="estimate", known=Known(known_exactly)
+    )
     assert fit.status is FitStatus.CONVERGED
     assert fit.ratios.values == pytest.approx(list(truth.values()), rel=1e-3)
     assert fit.rmse_mm < 1e-2 < fit.default_rmse_mm
@@ -109,7 +113,7 @@ def test_a_rough_fit_spares_evaluations_and_changes_no_interval(column, noisy) -
     stiffer = EquilibriumProblem(replace(column.torso, joints=joints), column.problem.supports)
     rough, fewer = (fit_stiffness(stiffer, trials, bounds=BOUNDS, extent="shape") for trials in (noisy, noisy[:2]))
     alone, led, aside = (
-        fit_stiffness(column.problem, noisy, start=start, bounds=BOUNDS, extent="intervals", rough=given)
+        fit_stiffness(column.problem, noisy, start=Start(start, rough=given), bounds=BOUNDS, extent="intervals")
         for given in (None, rough, fewer)
     )
     assert rough.likely is None
@@ -128,8 +132,8 @@ def test_a_finer_fit_takes_how_precise_nuisances_are_from_a_rough_one(column, no
 
     def fit(trials, rough=None):
         solved.clear()
-        start = {"lateral_bending": 1.0, "tissue": 0.6}
-        found = fit_stiffness(column.problem, trials, start=start, bounds=BOUNDS, extent="estimate", rough=rough)
+        start = Start({"lateral_bending": 1.0, "tissue": 0.6}, rough=rough)
+        found = fit_stiffness(column.problem, trials, start=start, bounds=BOUNDS, extent="estimate")
         return found, len(solved)
 
     rough, alone = fit(noisy)
@@ -159,10 +163,7 @@ def test_a_fit_goes_on_where_another_ended(column, noisy, whole, monkeypatch) ->
         return solve(self, log_ratios, nuisances, near, slope, *args, **kwargs)
 
     monkeypatch.setattr(WeighedProblem, "solve", seen)
-    on = fit_stiffness(
-        column.problem, noisy, start=whole.ratios.as_dict(), start_nuisances=whole.standard_nuisances,
-        bounds=BOUNDS, extent="estimate",
-    )  # fmt: skip
+    on = fit_stiffness(column.problem, noisy, start=Start.at(whole), bounds=BOUNDS, extent="estimate")
     largest = max(map(abs, whole.standard_nuisances.values()))
     assert asked[0] == (pytest.approx(largest), False) and asked[1][1]
     assert len(on.history) < len(whole.history)
@@ -182,7 +183,7 @@ def test_an_outlying_vertebra_is_named(column, noisy) -> None:
 def test_a_problem_a_trial_is_asked_for_its_own_frames(column, clean, known_exactly) -> None:
     other = EquilibriumProblem(column.torso, column.problem.supports)
     problems = [column.problem, column.problem, other]
-    fit = fit_stiffness(problems, clean, bounds=BOUNDS, extent="estimate", priors=known_exactly)
+    fit = fit_stiffness(problems, clean, bounds=BOUNDS, extent="estimate", known=Known(known_exactly))
     assert fit.ratios.values == pytest.approx(list(column.truth.values()), rel=1e-3)
 
 
@@ -225,11 +226,11 @@ def test_ratios_that_the_radiographs_cannot_tell_are_named_so(column, clean, kno
     assert fit.ratios.as_dict()["lateral_bending"] == pytest.approx(0.3, rel=0.1)
     assert any("sagittal_shear: the radiographs also allow ratios" in w and "above 10" in w for w in fit.warnings)
     same = ("lateral_bending", "lateral_bending@thoracic", "lateral_bending@lumbar", "tissue")
-    twice = fit_stiffness(column.problem, clean, same, bounds=BOUNDS, extent="intervals", priors=known_exactly)
+    twice = fit_stiffness(column.problem, clean, same, bounds=BOUNDS, extent="intervals", known=Known(known_exactly))
     assert twice.status is FitStatus.NOT_IDENTIFIABLE
     assert np.isinf(twice.covariance[:3]).all()
     assert np.isinf(twice.covariance[3]).tolist() == [True, True, True, False]
-    once = fit_stiffness(column.problem, clean, same[1:], bounds=BOUNDS, extent="estimate", priors=known_exactly)
+    once = fit_stiffness(column.problem, clean, same[1:], bounds=BOUNDS, extent="estimate", known=Known(known_exactly))
     assert twice.covariance[3, 3] == pytest.approx(once.covariance[2, 2], rel=0.01)
     assert twice.ratios.values[0] * twice.ratios.values[1:3] == pytest.approx(0.3, rel=0.01)
     for low, high in list(twice.intervals95.values())[:3]:
@@ -294,7 +295,7 @@ def test_a_fit_goes_on_from_a_bound(column, clean, method, known_exactly) -> Non
     assert ended[1] > 3.0
     bounds = (0.01, 3.0)
     fit = fit_stiffness(
-        column.problem, clean, method=method, start=start, bounds=bounds, extent="estimate", priors=known_exactly
+        column.problem, clean, method=method, start=start, bounds=bounds, extent="estimate", known=Known(known_exactly)
     )
     assert fit.status is FitStatus.CONVERGED
     assert fit.ratios.values == pytest.approx([0.3, 0.4], rel=1e-2)
@@ -327,9 +328,15 @@ def test_what_ratios_at_their_bounds_do_not_explain_is_no_chance(column, whole, 
     ("odd", "text"),
     [
         ({"extent": "all"}, "unknown extent 'all' of a fit; wanted one of estimate, shape, intervals, everything"),
-        ({"geometry": np.eye(6)}, "geometry: wanted a covariance of 54 by 54 finite numbers, six a vertebra"),
-        ({"geometry": np.full((54, 54), np.nan)}, "geometry: wanted a covariance of 54 by 54 finite numbers"),
-        ({"starts": ()}, "0 states to start from, wanted one a loaded trial, 2"),
+        (
+            {"known": Known(geometry=np.eye(6))},
+            "geometry: wanted a covariance of 54 by 54 finite numbers, six a vertebra",
+        ),
+        (
+            {"known": Known(geometry=np.full((54, 54), np.nan))},
+            "geometry: wanted a covariance of 54 by 54 finite numbers",
+        ),
+        ({"start": Start(states=())}, "0 states to start from, wanted one a loaded trial, 2"),
     ],
 )
 def test_what_does_not_fit_the_trials_is_one_clear_error(column, noisy, odd, text) -> None:
@@ -353,11 +360,10 @@ def test_an_estimate_that_still_moves_in_the_last_round_says_so(column, noisy, m
 
 
 def test_a_start_may_be_solved_from_states_that_are_known(column, noisy, whole, monkeypatch) -> None:
-    known = {one.name: one.standard for one in whole.weighed.nuisances}
-    begun = {"start": whole.ratios.as_dict(), "start_nuisances": known, "bounds": BOUNDS, "extent": "estimate"}
-    states = [found.state for found in whole.equilibria]
-    by_ratios = fit_stiffness(column.problem, noisy, **begun)
-    fit = fit_stiffness(column.problem, noisy, **begun, starts=states)
+    there = Start.at(whole)
+    from_states = replace(there, states=[found.state for found in whole.equilibria])
+    by_ratios = fit_stiffness(column.problem, noisy, start=there, bounds=BOUNDS, extent="estimate")
+    fit = fit_stiffness(column.problem, noisy, start=from_states, bounds=BOUNDS, extent="estimate")
     assert fit.ratios.values == pytest.approx(by_ratios.ratios.values, rel=1e-6)
     assert fit.cost.newton_iterations < by_ratios.cost.newton_iterations
     assert fit.cost.factorisations < by_ratios.cost.factorisations
@@ -370,7 +376,7 @@ def test_a_start_may_be_solved_from_states_that_are_known(column, noisy, whole, 
         return solve(self, *args, **kwargs)
 
     monkeypatch.setattr(WeighedProblem, "solve", from_states_never)
-    instead = fit_stiffness(column.problem, noisy, **begun, starts=states)
+    instead = fit_stiffness(column.problem, noisy, start=from_states, bounds=BOUNDS, extent="estimate")
     assert instead.ratios.values == pytest.approx(by_ratios.ratios.values, rel=1e-6)
     assert instead.cost.factorisations > fit.cost.factorisations
     assert np.isnan(instead.history[0].rmse_mm) and not instead.history[0].accepted
@@ -454,7 +460,7 @@ def test_nothing_but_the_ratios_may_be_unknown(column, clean) -> None:
     acting += ("obliquity_deg", "shoulder_mm", "frame_obliquity_deg", "frame_shoulder_mm", "trunk", "rib_joints")
     acting += ("tissue_volume", "mesh", "source_distance")
     priors = Priors(**dict.fromkeys(acting, 0.0))
-    fit = fit_stiffness(column.problem, clean, bounds=BOUNDS, priors=priors)
+    fit = fit_stiffness(column.problem, clean, bounds=BOUNDS, known=Known(priors))
     assert not fit.weighed.nuisances
     low, high = fit.intervals95["tissue"]
     assert low < 0.4 < high < 0.5
@@ -589,7 +595,9 @@ def test_where_the_patient_stood_is_no_motion_against_the_push(column, noisy, as
 def test_priors_that_leave_no_covariance_are_one_clear_line(column, noisy) -> None:
     for priors in (Priors(annotation_mm=1e-6), Priors(annotation_mm=1e-6, tracking_factor=0.0)):
         with pytest.raises(FitError, match=r"contradict each other.*far too small, e\.g\. annotation_mm"):
-            fit_stiffness(column.problem, noisy, start=column.truth, bounds=BOUNDS, priors=priors, extent="estimate")
+            fit_stiffness(
+                column.problem, noisy, start=column.truth, known=Known(priors), bounds=BOUNDS, extent="estimate"
+            )
 
 
 def test_a_fit_without_intervals_prints_none(column, whole, noisy) -> None:

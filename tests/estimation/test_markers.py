@@ -16,6 +16,7 @@ from spinestiff.estimation.discrepancy import SKIN_LENGTH_MM, SKIN_SD, Discrepan
 from spinestiff.estimation.discrepancy_data import shipped_modes
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.forecast import forecast
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.objective import SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.weighed import WeighedProblem, reduced
@@ -298,7 +299,7 @@ def test_on_a_whole_torso_the_skin_lacks_what_it_is_said_to() -> None:
         corners = VertebraCorners(torso.vertebrae, state_features(torso, view, state, shares).corners)
         trials.append(Trial(load, corners, view, f"{force:g} N", "main", not force, markers=markers))
     trial_set = TrialSet([problem], trials[1:], (), "procrustes", None)
-    asked = WeighedProblem(trial_set, [(problem, trials[0])], "procrustes", Priors(), None, False)
+    asked = WeighedProblem(trial_set, [(problem, trials[0])], "procrustes", Known())
     point = asked.solve(np.zeros(0), np.zeros(len(asked.unknowns)))
     found = asked.moving.discrepancy(point)
     size = motion_size(asked.moving._whole_motion(0, point))

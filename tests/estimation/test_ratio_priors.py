@@ -12,6 +12,7 @@ from spinestiff.errors import FitError
 from spinestiff.estimation.ended import likelihood_rise
 from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.estimation.fitted import FitEnd
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.estimation.noise import restricted_factor
 from spinestiff.estimation.priors import Priors
@@ -43,7 +44,7 @@ def parted(column):
 @pytest.fixture(scope="module")
 def by_level(column, parted):
     # Ten ratios of so short a column need tracking that nothing takes along.
-    return fit_stiffness(column.problem, parted, LEVELS, bounds=(0.003, 30.0), priors=Priors(tracking_drag=0.0))
+    return fit_stiffness(column.problem, parted, LEVELS, bounds=(0.003, 30.0), known=Known(Priors(tracking_drag=0.0)))
 
 
 def with_prior(asked, prior):
@@ -51,9 +52,7 @@ def with_prior(asked, prior):
         asked.trial_set,
         [(asked.trial_set.problems[0], one.target.trial) for one in asked.noise.seen if not one.target.trial.load.size],
         "procrustes",
-        asked.priors,
-        None,
-        False,
+        Known(asked.priors),
         prior,
     )
 
@@ -106,7 +105,7 @@ def test_a_population_is_of_the_mean_level(column):
 )
 def test_populations_that_say_nothing_of_these_ratios_are_refused(column, clean, names, population, method, words):
     with pytest.raises(FitError, match=words):
-        fit_stiffness(column.problem, clean, names, method, bounds=BOUNDS, population=population)
+        fit_stiffness(column.problem, clean, names, method, known=Known(population=population), bounds=BOUNDS)
 
 
 def test_rows_are_residuals_with_their_slope(column, asked):
@@ -169,7 +168,7 @@ def test_what_is_held_of_ratios_leaves_more_of_the_residuals_to_outlying_vertebr
 def test_a_wide_prior_moves_an_estimate_by_what_the_data_leave_open(column, noisy):
     """To first order by the share that the prior has of the precision; the likelihood rises by both."""
     plain, told = (
-        fit_stiffness(column.problem, noisy, bounds=BOUNDS, population=name, extent="intervals")
+        fit_stiffness(column.problem, noisy, bounds=BOUNDS, known=Known(population=name), extent="intervals")
         for name in (None, "koutras2025")
     )
     people = POPULATIONS["koutras2025"]
@@ -183,9 +182,9 @@ def test_a_wide_prior_moves_an_estimate_by_what_the_data_leave_open(column, nois
     assert plain.weighed.held == {}
     assert list(told.weighed.held) == ["population koutras2025"]
     problems = [column.problem] * len(noisy)
-    estimate = told.ratios.as_dict()
+    others = {**told.ratios.as_dict(), "lateral_bending": 10.0}
     rises = [
-        likelihood_rise(problems, noisy, FitEnd.of(told), {**estimate, "lateral_bending": 10.0}, population=name)
+        likelihood_rise(problems, noisy, FitEnd.of(told), others, known=Known(population=name))
         for name in (None, "koutras2025")
     ]
     held_there = ((np.log(10.0) - people.mean) / people.sd) ** 2 - ((after - people.mean) / people.sd) ** 2
@@ -223,7 +222,7 @@ def test_levels_are_found_as_smooth_as_is_held(column, parted, by_level):
     assert (fit.weighed.data_sd >= 0.99 * np.sqrt(np.diag(fit.covariance))).all()
     assert fit.weighed.data_sd.max() > 3.0
     smoother = Priors(level_smoothness=0.02, tracking_drag=0.0)
-    stiff = fit_stiffness(column.problem, parted, LEVELS, bounds=BOUNDS, priors=smoother, extent="estimate")
+    stiff = fit_stiffness(column.problem, parted, LEVELS, bounds=BOUNDS, known=Known(smoother), extent="estimate")
     spread = [np.ptp(np.log(one.ratios.values[:-1])) for one in (fit, stiff)]
     assert spread[1] < 0.3 * spread[0]
     # What the data know best is not what was held.

@@ -24,6 +24,7 @@ from spinestiff.estimation.discrepancy import (
 from spinestiff.estimation.discrepancy_data import shipped_modes
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.forecast import forecast
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.objective import Picture, Trial, make_target
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.sights import PedicleTarget, further_sights, sight_residuals
@@ -332,7 +333,7 @@ def test_a_second_frontal_radiograph_lacks_what_the_first_does_and_a_lateral_one
     again, aside = Picture(front, views[0], "again", "again"), Picture(side, views[1], "aside", "aside")
     trial = Trial(load, front, views[0], "front", further=(again, aside))
     trial_set = TrialSet([problem], [trial], ratios.groups, "procrustes", None)
-    asked = WeighedProblem(trial_set, [], "procrustes", Priors(), None, False)
+    asked = WeighedProblem(trial_set, [], "procrustes", Known())
     point = asked.solve(np.log(ratios.values), np.zeros(len(asked.unknowns)), starts=[state])
     found = asked.moving.discrepancy(point)
     first, second, third = (found[np.ix_(rows, rows)] for rows in (np.arange(51) + 51 * i for i in range(3)))

@@ -11,6 +11,7 @@ from results import tracked_push
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, FitError
+from spinestiff.estimation.asked import Start
 from spinestiff.estimation.channels import Channels
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.estimation.status import FitStatus
@@ -326,10 +327,18 @@ def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch
     assert single_ratio(pushes) == Model.of(finished.fit)
     single_ratio(pushes, 0.1, "paper", {"a": 1.0}, ())
     rest = {"extent": "estimate", "close_sd": assessment.SINGLE_SD}
-    assert asked == [
-        ((pushes, ("everything",), {"everything": start}, how), rest | {"start_nuisances": known, "starts": states})
-        for start, how, known, states in ((1.0, "weighed", None, None), (0.1, "paper", {"a": 1.0}, ()))
+    assert [(args[1:], kwargs) for args, kwargs in asked] == [
+        ((("everything",), Start({"everything": start}, known, states), how), rest)
+        for start, how, known, states in ((1.0, "weighed", {}, None), (0.1, "paper", {"a": 1.0}, ()))
     ]
+
+
+def test_no_population_of_other_ratios_is_held_of_the_common_one(pushes, finished, monkeypatch):
+    asked = []
+    monkeypatch.setattr(assessment, "fit_pushes", lambda *args, **kwargs: asked.append(args[0]) or finished.fit)
+    single_ratio(replace(pushes, known=replace(pushes.known, population="koutras2025")))
+    assert asked[0].known.population is None
+    assert asked[0].known.geometry is pushes.known.geometry
 
 
 def test_what_is_written_of_a_whole_subject(finished):

@@ -14,6 +14,7 @@ from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.evaluation import TrialSet
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.objective import SkinMarkers
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import silhouette_shares, state_features, view_kind
@@ -29,7 +30,6 @@ from spinestiff.study.planning.words import now_of, pays, plan_lines, size_of
 from spinestiff.study.report.protocol import protocol_page
 from spinestiff.study.runner import run_steps
 from spinestiff.study.synthetic_markers import spread_markers
-from spinestiff.study.trials import Known
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome

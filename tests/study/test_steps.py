@@ -490,8 +490,8 @@ def test_other_parameters_and_a_population_asked_in_subject_json(subject, finish
     names, asked = ("lateral_bending@T1-S1", "tissue"), []
     held = {"population koutras2025": "so much"}
 
-    def fit(coarse, pushes, wanted, start, *args, population):
-        asked.append((wanted, start, population))
+    def fit(coarse, pushes, wanted, start, *args):
+        asked.append((wanted, start, pushes.known.population))
         ratios = torso_ratios(pushes.torso, dict(zip(wanted, finished.fit.ratios.values)))
         by_name = {
             what: dict(zip(wanted, getattr(finished.fit, what).values()))
@@ -521,12 +521,12 @@ def test_other_parameters_and_a_population_asked_in_subject_json(subject, finish
     true_bending = read_truth(visit.truth)["lateral_bending"]
     assert page["ratios"][0]["truth"] == wording.number(true_bending)
     assert page["bending"] is not None
-    # In the measure that the fit had, its population included, and at its own equilibria.
+    # At its own equilibria.
     compared = []
     monkeypatch.setattr(truth, "rise_of", lambda *args: compared.append(args[1:]) or 1.0)
     truth.compare_with_truth(record, load_pushes(visit, "procrustes", "weighed"), visit.truth)
     wanted = {names[0]: true_bending, "tissue": read_truth(visit.truth)["tissue"]}
-    assert compared == [(fit_end(record), wanted, "koutras2025", record.training_rmse_mm.fit, None)]
+    assert compared == [(fit_end(record), wanted, record.training_rmse_mm.fit, None)]
 
 
 def test_many_ratios_say_how_their_intervals_were_found(finished):

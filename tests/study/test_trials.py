@@ -13,6 +13,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError, TrackingError
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.objective import make_target, residuals
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.sights import further_sights, sight_residuals
@@ -28,7 +29,7 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import posed
 from spinestiff.study.fits import fit_pushes
 from spinestiff.study.synthetic_markers import spread_markers
-from spinestiff.study.trials import Known, known_of, push_set, rig_of, seen_beside
+from spinestiff.study.trials import known_of, push_set, rig_of, seen_beside
 from spinestiff.subject.outcome_parts import ViewRecord
 from spinestiff.subject.outcomes import MarkedPedicles, MarkerTracks, Measured, SidePicture, SideView, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord

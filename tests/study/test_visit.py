@@ -8,6 +8,7 @@ import pytest
 from results import altered
 from spinestiff.anatomy.files import read_torso
 from spinestiff.errors import SubjectError, TorsoError
+from spinestiff.estimation.fitted import METHODS
 from spinestiff.files import read_json, write_json
 from spinestiff.study.predictions import Model
 from spinestiff.study.steps import estimated_model
@@ -98,6 +99,13 @@ def test_ratios_are_read_back(finished):
 @pytest.mark.parametrize("orientation", ["procrustes", "covariance"])
 def test_trials_keep_the_orientation_that_was_asked(finished, orientation):
     assert load_pushes(open_visit(finished.folder), orientation, "weighed").orientation == orientation
+
+
+def test_the_papers_method_holds_the_pelvis_level_and_no_population(finished):
+    visit = open_visit(finished.folder)
+    weighed, paper = (load_pushes(visit, "procrustes", method, "koutras2025").known for method in METHODS)
+    assert (weighed.population, paper.population) == ("koutras2025", None)
+    assert weighed.priors.obliquity_deg > paper.priors.obliquity_deg == 0.0
 
 
 @pytest.mark.parametrize(

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import FitError
 from spinestiff.estimation.evaluation import OnFitStep, TrialSet
-from spinestiff.estimation.fitted import METHODS
+from spinestiff.estimation.fitted import METHODS, StiffnessFit
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.objective import Trial
-from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import ratio_prior
 from spinestiff.estimation.weighed import WeighedProblem
 from spinestiff.imaging.features import Orientation
@@ -25,6 +26,31 @@ from spinestiff.words import counted
 # Share by which a ratio from its log may lie beyond a bound.
 ROUNDING = 1e-12
 Extent = Literal["estimate", "shape", "intervals", "everything"]
+
+
+@dataclass(frozen=True, repr=False)
+class Start(ShortRepr):
+    """Where a fit begins.
+
+    Attributes
+    ----------
+    ratios : by name; default 1, or the bound next to it.
+    nuisances : by name, in prior standard deviations; default 0. One that the trials don't have is passed over, as
+        where they are fewer than those that it was found with.
+    states : of the loaded trials, to solve the start of a weighed fit from, in place of the default ratios' equilibria,
+        which are then not solved.
+    rough : a fit of the same trials and ratios on a coarser mesh, with the shape of its likelihood.
+    """
+
+    ratios: Mapping[str, float] = field(default_factory=dict)
+    nuisances: Mapping[str, float] = field(default_factory=dict)
+    states: Sequence[TorsoState] | None = None
+    rough: StiffnessFit | None = None
+
+    @classmethod
+    def at(cls, fit: StiffnessFit) -> Start:
+        """Ratios and nuisances where another fit ended."""
+        return cls(fit.ratios.as_dict(), fit.standard_nuisances)
 
 
 def one_a_trial(
@@ -76,11 +102,11 @@ def check_known(
         raise FitError(f"{counted(len(starts), 'state')} to start from, wanted one a loaded trial, {loaded}")
 
 
-def first_logs(names: Sequence[str], start: Mapping[str, float] | None, bounds: tuple[float, float]) -> Floats:
+def first_logs(names: Sequence[str], start: Mapping[str, float], bounds: tuple[float, float]) -> Floats:
     """(P,) log ratios to start from: those given, else 1 or the bound next to it. Raises FitError."""
     usual = float(np.clip(1.0, *bounds))
-    values = np.array([(start or {}).get(name, usual) for name in names])
-    for name in start or {}:
+    values = np.array([start.get(name, usual) for name in names])
+    for name in start:
         if name not in names:
             raise FitError(f"start names '{name}', which is not fitted; fitted are {', '.join(names)}")
     low, high = bounds[0] * (1.0 - ROUNDING), bounds[1] * (1.0 + ROUNDING)
@@ -97,10 +123,7 @@ def weighed_problem(
     groups: tuple[ParameterGroup, ...],
     orientation: Orientation,
     observer: OnFitStep | None,
-    priors: Priors | None,
-    geometry: Floats | None,
-    taped: bool,
-    population: str | None,
+    known: Known,
     limits: tuple[float, float] = (-np.inf, np.inf),
 ) -> WeighedProblem:
     """Trials under load and without, their priors and what is held of the ratios; arguments as of ``fit_stiffness``."""
@@ -108,6 +131,5 @@ def weighed_problem(
     loaded = [(p, trial) for p, trial in both if trial.load.size > 0.0]
     still = [(p, trial) for p, trial in both if trial.load.size == 0.0]
     trial_set = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], groups, orientation, observer)
-    priors = priors or Priors()
-    held = ratio_prior(groups, problems[0].torso.joints.kinds, priors.level_smoothness, population)
-    return WeighedProblem(trial_set, still, orientation, priors, geometry, taped, held, limits)
+    held = ratio_prior(groups, problems[0].torso.joints.kinds, known.priors.level_smoothness, known.population)
+    return WeighedProblem(trial_set, still, orientation, known, held, limits)

@@ -8,15 +8,14 @@ import numpy as np
 
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.asked import weighed_problem
 from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.forecast import Forecast, forecast
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
-from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import rise_at
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
@@ -33,10 +32,7 @@ def likelihood_rise(
     estimate: FitEnd,
     others: Mapping[str, float],
     orientation: Orientation = "procrustes",
-    priors: Priors | None = None,
-    geometry: Floats | None = None,
-    taped: bool = False,
-    population: str | None = None,
+    known: Known | None = None,
     rmse_mm: float | None = None,
     starts: Sequence[TorsoState] | None = None,
 ) -> float:
@@ -54,7 +50,7 @@ def likelihood_rise(
     EquilibriumError : there is no equilibrium at one of the two, or the estimate's are others than the fit's.
     """
     groups = parameter_groups(problems[0].torso, tuple(estimate.ratios))
-    asked = weighed_problem(problems, trials, groups, orientation, None, priors, geometry, taped, population)
+    asked = weighed_problem(problems, trials, groups, orientation, None, known or Known())
     point = _at_end(asked, estimate, starts)
     if rmse_mm is not None and abs(point.evaluation.rmse - rmse_mm) > SAME_RMSE * rmse_mm:
         raise EquilibriumError(
@@ -71,10 +67,7 @@ def forecast_unseen(
     unseen: Sequence[int],
     estimate: FitEnd,
     orientation: Orientation = "procrustes",
-    priors: Priors | None = None,
-    geometry: Floats | None = None,
-    taped: bool = False,
-    population: str | None = None,
+    known: Known | None = None,
     starts: Sequence[TorsoState] | None = None,
 ) -> tuple[Forecast, ...]:
     """What the ``unseen`` of these trials should show, from a weighed fit of the others.
@@ -90,7 +83,7 @@ def forecast_unseen(
     EquilibriumError : there is no equilibrium at the estimate.
     """
     groups = parameter_groups(problems[0].torso, tuple(estimate.ratios))
-    asked = weighed_problem(problems, trials, groups, orientation, None, priors, geometry, taped, population)
+    asked = weighed_problem(problems, trials, groups, orientation, None, known or Known())
     loaded = [i for i, trial in enumerate(trials) if trial.load.size > 0.0]
     point = _at_end(asked, estimate, starts)
     numbers, inflation = [loaded.index(i) for i in unseen], asked.inflation(estimate.outlying)

@@ -17,15 +17,23 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, FitError, NoMinimum
-from spinestiff.estimation.asked import Extent, check_asked, check_known, first_logs, one_a_trial, weighed_problem
+from spinestiff.estimation.asked import (
+    Extent,
+    Start,
+    check_asked,
+    check_known,
+    first_logs,
+    one_a_trial,
+    weighed_problem,
+)
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
 from spinestiff.estimation.fitted import Method, StiffnessFit, Weighed
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.linear import MOST_PROFILED, linear_ratios
 from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, likeliest, search
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
-from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios, telling_places
 from spinestiff.estimation.search import lbfgsb
 from spinestiff.estimation.status import FitStatus
@@ -51,20 +59,14 @@ def fit_stiffness(
     trials: Sequence[Trial],
     names: Sequence[str] = ("lateral_bending", "tissue"),
     method: Method = "weighed",
-    start: Mapping[str, float] | None = None,
+    start: Start | Mapping[str, float] | None = None,
+    known: Known | None = None,
     bounds: tuple[float, float] = RATIO_BOUNDS,
     orientation: Orientation = "procrustes",
+    extent: Extent = "everything",
     observer: OnFitStep | None = None,
     max_iterations: int = 80,
-    priors: Priors | None = None,
-    geometry: Floats | None = None,
-    taped: bool = False,
-    extent: Extent = "everything",
-    start_nuisances: Mapping[str, float] | None = None,
-    population: str | None = None,
-    rough: StiffnessFit | None = None,
     close_sd: float = CLOSE_SD,
-    starts: Sequence[TorsoState] | None = None,
 ) -> StiffnessFit:
     """Stiffness ratios whose equilibria show what the radiographs show (Eq. 8).
 
@@ -76,25 +78,16 @@ def fit_stiffness(
     names : parameters to estimate, see ``anatomy.stiffness.parameter_group`` and, of regions and levels,
         ``anatomy.regions.parameter_groups``; ("everything",) is the one-ratio model.
     method : "weighed" (``estimation.weighed``) or "paper" (equal weights, L-BFGS-B with the adjoint gradient).
-    start : name -> ratio to start from; default 1, or the bound next to it.
+    start : where the search begins, or no more of it than its ratios by name.
+    known : beside the trials; default the usual priors and an exact geometry.
     bounds : lowest and highest ratio.
     orientation : of a vertebra in the picture, "procrustes" or "covariance".
+    extent : "estimate" alone; with the "shape" of the likelihood, for a fit on a finer mesh; with "intervals"; or
+        "everything": variance budget and, of ratios with profiles, other priors as well.
     observer : called after every evaluation but that of the default ratios.
     max_iterations : evaluations of all trials by each of at most four searches, those beside their ends not counted
         (L-BFGS-B: iterations, and three times as many evaluations).
-    priors : what is known beforehand of all that is not quite known.
-    geometry : (6V, 6V) covariance of the vertebrae's rest poses (dt mm, dw rad); None: known.
-    taped : the trunk's size was measured.
-    start_nuisances : name -> nuisance to start from, in prior standard deviations; default 0. One that these trials
-        don't have is passed over, as where they are fewer than those that it was found with.
-    extent : "estimate" alone; with the "shape" of the likelihood, for a fit on a finer mesh; with "intervals"; or
-        "everything": variance budget and, of ratios with profiles, other priors as well.
-    population : whose ratios are held as a prior (``ratio_priors.POPULATIONS``), by the weighed method only; None: the
-        ratios are flat in log, up to the smoothness of neighbouring levels'.
-    rough : a fit of the same trials and ratios on a coarser mesh, with the shape of its likelihood.
     close_sd : the weighed search ends once a step is shorter than so many standard deviations.
-    starts : states of the loaded trials to solve the start of a weighed fit from, in place of the default ratios'
-        equilibria, which are then not solved.
 
     Raises
     ------
@@ -106,22 +99,22 @@ def fit_stiffness(
     began = time.perf_counter()
     problems = one_a_trial(problem, trials)
     check_asked(trials, names, method, bounds, extent)
-    check_known(problems, trials, geometry, starts)
+    begin = start if isinstance(start, Start) else Start(start or {})
+    known = known or Known()
+    check_known(problems, trials, known.geometry, begin.states)
     groups = parameter_groups(problems[0].torso, names)
     names = tuple(group.name for group in groups)
-    if population is not None and method != "weighed":
-        raise FitError(f"population '{population}' with method '{method}', which knows no priors; wanted weighed")
+    if known.population is not None and method != "weighed":
+        raise FitError(f"population '{known.population}' with method '{method}', which knows no priors; wanted weighed")
     limits = (float(np.log(bounds[0])), float(np.log(bounds[1])))
-    asked = weighed_problem(
-        problems, trials, groups, orientation, observer, priors, geometry, taped, population, limits
-    )
+    asked = weighed_problem(problems, trials, groups, orientation, observer, known, limits)
     trial_set = asked.trial_set
-    first = first_logs(names, start, bounds)
-    default = None if starts is not None and method == "weighed" else _default_point(trial_set)
+    first = first_logs(names, begin.ratios, bounds)
+    default = None if begin.states is not None and method == "weighed" else _default_point(trial_set)
     if method == "weighed":
-        nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
-        start_point = _start_point(asked, first, nuisances, default, limits, starts)
-        end = _weighed_end(asked, start_point, limits, rough, extent, max_iterations, close_sd)
+        nuisances = np.array([begin.nuisances.get(name, 0.0) for name in asked.unknowns.names])
+        start_point = _start_point(asked, first, nuisances, default, limits, begin.states)
+        end = _weighed_end(asked, start_point, limits, begin.rough, extent, max_iterations, close_sd)
     else:
         end = _paper_end(trial_set, first, default, limits, max_iterations)
     point, likely = end.point, None if end.weighed is None else end.weighed.likely

@@ -32,12 +32,12 @@ from scipy.linalg import cho_solve, solve_triangular
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.evaluation import Evaluation, TrialSet
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.kriging import Kriging
 from spinestiff.estimation.moving import Moving
 from spinestiff.estimation.noise import Noise, Seen, lower_root, restricted_factor
 from spinestiff.estimation.objective import Target, Trial, make_target, residuals
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
-from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import RatioPrior
 from spinestiff.estimation.sights import (
     MarkerResiduals,
@@ -82,6 +82,7 @@ class WeighedProblem:
     Parameters
     ----------
     trial_set : the trials under load. still : those without, and their torso's problems.
+    known : beside the trials.
     ratio_prior : what is held of the ratios; None: they are flat in log.
     limits : of the log ratios. What one at a limit can't explain no chance explains (``p_value``).
 
@@ -97,16 +98,16 @@ class WeighedProblem:
         trial_set: TrialSet,
         still: Sequence[tuple[EquilibriumProblem, Trial]],
         orientation: Orientation,
-        priors: Priors,
-        geometry: Floats | None,
-        taped: bool,
+        known: Known,
         ratio_prior: RatioPrior | None = None,
         limits: tuple[float, float] = (-np.inf, np.inf),
     ) -> None:
-        self.trial_set, self.priors, self.limits = trial_set, priors, limits
+        self.trial_set, self.priors, self.limits = trial_set, known.priors, limits
         count = len(trial_set.groups)
         self.ratio_prior = ratio_prior or RatioPrior(np.zeros((0, count)), np.zeros(0), {})
-        self.unknowns: Unknowns = unknowns_of(trial_set.trials, trial_set.problems, priors, taped, trial_set.groups)
+        self.unknowns: Unknowns = unknowns_of(
+            trial_set.trials, trial_set.problems, known.priors, known.taped, trial_set.groups
+        )
         targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
         both = (*trial_set.targets, *targets)
         problems = (*trial_set.problems, *(problem for problem, _ in still))
@@ -127,7 +128,7 @@ class WeighedProblem:
             seen.append(Seen(one.target, one.sequence or sequences[one.trial], by_hand, one.radiograph, one.marked))
         more = any(not isinstance(one.target, MarkerTarget) for one in further)
         rest = problems[0].torso.rest_pose.bone_positions[problems[0].torso.vertebra_bones] if more else None
-        self.noise = Noise(seen, at_rest, geometry, priors, rest)
+        self.noise = Noise(seen, at_rest, known.geometry, known.priors, rest)
         self._constant = self.noise.constant
         aside = [(one.radiograph, one.trial) for one in further if one.radiograph >= len(both)]
         self.shown = tuple((i, *dict.fromkeys(n for n, trial in aside if trial == i)) for i in range(len(both)))
@@ -138,7 +139,7 @@ class WeighedProblem:
             for (row, trial), one in zip(self._further, further)
             if trial < len(trial_set.trials)
         ]
-        self.moving = Moving(trial_set, self.noise, at_rest, sights, priors)
+        self.moving = Moving(trial_set, self.noise, at_rest, sights, known.priors)
         self._resting = np.zeros(self.noise.size)
         for row, part in enumerate(at_rest):
             if row not in self.moving.rows:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.changes import signed_levels
 from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
+from spinestiff.estimation.asked import Start
 from spinestiff.estimation.fitted import Method
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.imaging.features import picture_axes, rmse, target_features
@@ -103,14 +105,12 @@ def single_ratio(
     """
     try:
         fit = fit_pushes(
-            pushes,
+            replace(pushes, known=replace(pushes.known, population=None)),
             ("everything",),
-            {"everything": start},
+            Start({"everything": start}, nuisances or {}, states),
             method,
             extent="estimate",
-            start_nuisances=nuisances,
             close_sd=SINGLE_SD,
-            starts=states,
         )
     except (FitError, EquilibriumError):
         return None

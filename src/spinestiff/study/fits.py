@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.errors import NoMinimum
-from spinestiff.estimation.asked import Extent
+from spinestiff.estimation.asked import Extent, Start
 from spinestiff.estimation.ended import likelihood_rise
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import fit_stiffness
@@ -25,30 +26,25 @@ def fit_from_coarse(
     observer: OnFitStep | None = None,
     say: Observer = lambda line: None,
     extent: Extent = "everything",
-    population: str | None = None,
 ) -> StiffnessFit:
     """The fit of the training frames, begun where the same trials on a coarse torso end; see ``fit_pushes``."""
-    known: Mapping[str, float] = {}
-    rough: StiffnessFit | None = None
+    begin = Start(start)
     if coarse is not None:
         say("on the coarse mesh first")
         try:
-            rough = fit_pushes(
-                coarse, names, start, method, observer, "shape", population=population, close_sd=ROUGHLY_SD
-            )
+            rough = fit_pushes(coarse, names, begin, method, observer, "shape", ROUGHLY_SD)
         except NoMinimum as error:
             say(f"no fit on the coarse mesh ({error})")
         else:
-            start, known = rough.ratios.as_dict(), rough.standard_nuisances
+            begin = replace(Start.at(rough), rough=rough)
         say("on the fine mesh")
-    return fit_pushes(pushes, names, start, method, observer, extent, known, population, rough)
+    return fit_pushes(pushes, names, begin, method, observer, extent)
 
 
 def rise_of(
     pushes: PushSet,
     estimate: FitEnd,
     others: Mapping[str, float],
-    population: str | None = None,
     rmse_mm: float | None = None,
     starts: Sequence[TorsoState] | None = None,
 ) -> float:
@@ -59,10 +55,7 @@ def rise_of(
         estimate,
         others,
         pushes.orientation,
-        pushes.known.priors,
-        pushes.known.geometry,
-        pushes.known.taped,
-        population,
+        pushes.known,
         rmse_mm,
         starts,
     )
@@ -71,15 +64,11 @@ def rise_of(
 def fit_pushes(
     pushes: PushSet,
     names: Sequence[str],
-    start: Mapping[str, float] | None = None,
+    start: Start | Mapping[str, float] | None = None,
     method: Method = "weighed",
     observer: OnFitStep | None = None,
     extent: Extent = "everything",
-    start_nuisances: Mapping[str, float] | None = None,
-    population: str | None = None,
-    rough: StiffnessFit | None = None,
     close_sd: float = CLOSE_SD,
-    starts: Sequence[TorsoState] | None = None,
 ) -> StiffnessFit:
     """The fit of the training frames; arguments and errors are those of ``estimation.fit.fit_stiffness``."""
     return fit_stiffness(
@@ -87,16 +76,10 @@ def fit_pushes(
         [t.trial for t in pushes.fitted],
         names,
         method,
-        start=start,
+        start,
+        pushes.known,
         orientation=pushes.orientation,
-        observer=observer,
-        priors=pushes.known.priors,
-        geometry=pushes.known.geometry,
-        taped=pushes.known.taped,
         extent=extent,
-        start_nuisances=start_nuisances,
-        population=population,
-        rough=rough,
+        observer=observer,
         close_sd=close_sd,
-        starts=starts,
     )

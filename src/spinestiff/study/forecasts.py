@@ -19,15 +19,13 @@ from spinestiff.subject.assessment_outcome import ForecastRecord
 from spinestiff.subject.estimate_outcome import Estimate
 
 
-def forecasts(
-    predictions: Predictions, estimate: FitEnd, population: str | None = None
-) -> dict[tuple[str, int], Forecast]:
+def forecasts(predictions: Predictions, estimate: FitEnd) -> dict[tuple[str, int], Forecast]:
     """Of every frame held out that the estimate predicts, by push and frame.
 
     Parameters
     ----------
     predictions : with those of the model "fit".
-    estimate, population : of a weighed fit of the training frames.
+    estimate : of a weighed fit of the training frames.
 
     Raises
     ------
@@ -37,7 +35,7 @@ def forecasts(
     solved = {(frame.item.push, frame.item.frame): frame.solved.get("fit") for frame in predictions.frames}
     states = {key: found.state for key, found in solved.items() if found is not None}
     items = [frame.item for frame in unseen]
-    found = forecast_frames(predictions.pushes, items, estimate, population, states)
+    found = forecast_frames(predictions.pushes, items, estimate, states)
     return {(item.push, item.frame): one for item, one in zip(items, found)}
 
 
@@ -45,7 +43,6 @@ def forecast_frames(
     pushes: PushSet,
     unseen: Sequence[PushTrial],
     estimate: FitEnd,
-    population: str | None = None,
     states: Mapping[tuple[str, int], TorsoState] | None = None,
 ) -> tuple[Forecast, ...]:
     """Of the ``unseen`` frames, which are under load, from a weighed fit of the training frames.
@@ -72,10 +69,7 @@ def forecast_frames(
         range(len(seen), len(items)),
         estimate,
         pushes.orientation,
-        pushes.known.priors,
-        pushes.known.geometry,
-        pushes.known.taped,
-        population,
+        pushes.known,
         [known.get((item.push, item.frame), pushes.torso.rest_pose) for item in items if item.force_n > 0.0],
     )
 

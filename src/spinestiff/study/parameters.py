@@ -10,6 +10,7 @@ import numpy as np
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, FitError, SpinestiffError, SubjectError
+from spinestiff.estimation.asked import Start
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fitted import FitEnd, StiffnessFit
 from spinestiff.observer import Observer
@@ -207,10 +208,8 @@ def _untied_score(
             fit_pushes(
                 pushes,
                 names,
-                start,
+                Start(start, two.standard_nuisances),
                 extent="estimate",
-                start_nuisances=two.standard_nuisances,
-                population=basis.estimate.population,
             )
         )
     except SpinestiffError as error:
@@ -233,20 +232,18 @@ def model_score(
                 fit_pushes(
                     less,
                     fit.names,
-                    fit.ratios.as_dict(),
+                    Start.at(fit),
                     extent="estimate",
-                    start_nuisances=fit.standard_nuisances,
-                    population=basis.estimate.population,
                 )
             )
-            errors += _forecast_errors(less, fold, found, basis.estimate.population)
+            errors += _forecast_errors(less, fold, found)
         except (FitError, EquilibriumError) as error:
             notes.append(f"without {_named(fold)}: {error}")
     left_out = None if notes else _rmse(errors)
     held_out = [item for item in pushes.of_role("validation") if item.force_n > 0.0]
     outside = list[Floats]()
     try:
-        outside = _forecast_errors(pushes, held_out, fit, basis.estimate.population) if held_out else []
+        outside = _forecast_errors(pushes, held_out, fit) if held_out else []
     except EquilibriumError as error:
         notes.append(f"frames held out: {error}")
     with np.errstate(invalid="ignore"):
@@ -278,12 +275,10 @@ def without(pushes: PushSet, fold: Sequence[PushTrial]) -> PushSet:
     )
 
 
-def _forecast_errors(
-    pushes: PushSet, unseen: Sequence[PushTrial], fit: StiffnessFit, population: str | None
-) -> list[Floats]:
+def _forecast_errors(pushes: PushSet, unseen: Sequence[PushTrial], fit: StiffnessFit) -> list[Floats]:
     """(Nv, 4, 2) mm of each unseen frame: what a fit of the training frames forecasts, less what was measured."""
     states = {(t.push, t.frame): equilibrium.state for t, equilibrium in zip(pushes.training, fit.equilibria)}
-    found = forecast_frames(pushes, unseen, FitEnd.of(fit), population, states)
+    found = forecast_frames(pushes, unseen, FitEnd.of(fit), states)
     return [one.corner_errors for one in found]
 
 

@@ -26,6 +26,7 @@ from spinestiff.curves.corner_files import ImageCorners, read_corners
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.estimation.fitted import StiffnessFit
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
@@ -288,8 +289,7 @@ def analyse(record: PhantomRecord, images: Sequence[ImageCorners]) -> PhantomRes
             fitted,
             names,
             start=dict.fromkeys(names, START),
-            priors=given_priors(known, BENCH, f"{PHANTOM_FILE}: errors"),
-            taped=True,
+            known=Known(given_priors(known, BENCH, f"{PHANTOM_FILE}: errors"), taped=True),
             extent="intervals",
         )
     )

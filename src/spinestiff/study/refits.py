@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import ShortRepr
 from spinestiff.errors import FitError, SubjectError
+from spinestiff.estimation.asked import Start
 from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.study.fits import fit_pushes
 from spinestiff.study.trials import PushSet
@@ -36,7 +37,7 @@ class Basis(ShortRepr):
 
     def pushes(self, method: Method = "weighed") -> PushSet:
         """The trials as the estimate had them."""
-        return pushes_on(self.visit, self.torso, self.estimate.orientation, method)
+        return pushes_on(self.visit, self.torso, self.estimate.orientation, method, self.estimate.population)
 
     def refit(self, pushes: PushSet, start: Mapping[str, float] | None = None) -> StiffnessFit:
         """The estimate's ratios fitted to other trials, begun at ``start`` or at the estimate; no intervals.
@@ -49,10 +50,8 @@ class Basis(ShortRepr):
             fit_pushes(
                 pushes,
                 self.names,
-                start or self.estimate.values,
+                Start(start or self.estimate.values, self.nuisances),
                 extent="estimate",
-                start_nuisances=self.nuisances,
-                population=self.estimate.population,
             )
         )
 

@@ -229,7 +229,7 @@ def weighed_cases(basis: Basis) -> Iterator[Case]:
     def on(
         changed: Visit, shaped: Callable[[], TorsoModel], orientation: Orientation, start: Ratios | None
     ) -> StiffnessFit:
-        return basis.refit(pushes_on(changed, shaped(), orientation, estimate.method), start)
+        return basis.refit(pushes_on(changed, shaped(), orientation, estimate.method, estimate.population), start)
 
     def case(
         what: Change,

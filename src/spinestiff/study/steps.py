@@ -193,7 +193,12 @@ def estimate_step(visit: Visit, say: Observer) -> None:
     ------
     NoMinimum : the fit ended without a minimum; nothing is written. It names the likeliest mistakes.
     """
-    pushes = load_pushes(visit, visit.settings.orientation, visit.settings.method)  # type: ignore[arg-type]
+    pushes = load_pushes(
+        visit,
+        visit.settings.orientation,  # type: ignore[arg-type]
+        visit.settings.method,
+        visit.population,
+    )
     geometry = read_outcome(visit.subject, GeometryRecord)
     identities = read_identities(visit.subject)
     checks = judge_inputs(visit.subject.record, rest_shape(geometry), pushes, identities)
@@ -242,7 +247,7 @@ def assess_step(visit: Visit, say: Observer) -> None:
     """
     subject = visit.subject
     estimate = read_outcome(subject, Estimate)
-    pushes = load_pushes(visit, estimate.orientation, estimate.method)
+    pushes = load_pushes(visit, estimate.orientation, estimate.method, estimate.population)
     fit = estimated_model(estimate, pushes)
     models = {"default": Model(), "fit": fit}
     say("fitting the one-ratio baseline")
@@ -261,7 +266,7 @@ def assess_step(visit: Visit, say: Observer) -> None:
     if estimate.tracking_factor is not None:
         say("what the training frames let expect of those held out")
         try:
-            expected = forecasts(predictions, fit_end(estimate), estimate.population)
+            expected = forecasts(predictions, fit_end(estimate))
         except EquilibriumError as error:
             say(f"no forecast: {error}")
     assessment = Assessment(frames=assess(predictions, expected), notes=tuple(_support_notes(visit, predictions)))
@@ -292,7 +297,7 @@ def stored_predictions(visit: Visit) -> Predictions:
     SubjectError : an earlier step has not run, or its results are not as it left them.
     """
     estimate = read_outcome(visit.subject, Estimate)
-    pushes = load_pushes(visit, estimate.orientation, estimate.method)
+    pushes = load_pushes(visit, estimate.orientation, estimate.method, estimate.population)
     known = read_solved(result_path(visit.subject, "predictions.npz", "assess"))
     return predictions_of(pushes, known)
 
@@ -336,15 +341,15 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
         beside = "" if step.accepted else " (not a step of the fit)"  # an interval's end, or refused
         say(f"evaluation {step.iteration}{beside}: {tried}: {loss}")
 
-    names, population = expanded(pushes.torso, visit.parameters), visit.population
+    names = expanded(pushes.torso, visit.parameters)
     method: Method = visit.settings.method  # type: ignore[assignment]
     usual = usual_ratios(names)
-    coarse = load_start(visit, pushes.orientation, method)
+    coarse = load_start(visit, pushes.orientation, method, pushes.known.population)
     try:
-        return fit_from_coarse(coarse, pushes, names, usual, method, progress, say, population=population)
+        return fit_from_coarse(coarse, pushes, names, usual, method, progress, say)
     except NoMinimum as error:
         say(f"no fit from there ({error}); starting from the default ratios")
-        return fit_pushes(pushes, names, None, method, progress, population=population)
+        return fit_pushes(pushes, names, None, method, progress)
 
 
 def usual_ratios(names: Sequence[str]) -> dict[str, float]:

@@ -12,6 +12,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.pushes import annotated_frame, frame_forces
 from spinestiff.errors import FitError, SubjectError, TrackingError
+from spinestiff.estimation.known import Known
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import check_population
@@ -39,24 +40,8 @@ def rig_of(record: SubjectRecord) -> Rig:
     return Rig("level" if record.pelvis == "estimated" else record.pelvis, record.wall)
 
 
-@dataclass(frozen=True, repr=False)
-class Known(ShortRepr):
-    """What is known of a subject beside the radiographs of pushes.
-
-    Attributes
-    ----------
-    priors : of all that is not quite known.
-    geometry : (6V, 6V) covariance of the vertebrae's rest poses; None: exact.
-    taped : the trunk's size was measured.
-    """
-
-    priors: Priors = field(default_factory=Priors)
-    geometry: Floats | None = None
-    taped: bool = False
-
-
-def known_of(record: SubjectRecord, geometry: Floats | None) -> Known:
-    """From ``subject.json`` and the geometry's covariance.
+def known_of(record: SubjectRecord, geometry: Floats | None, population: str | None = None) -> Known:
+    """From ``subject.json``, the geometry's covariance and the population asked for, which may be another one.
 
     Raises
     ------
@@ -72,7 +57,7 @@ def known_of(record: SubjectRecord, geometry: Floats | None) -> Known:
         priors = replace(priors, obliquity_deg=0.0, frame_obliquity_deg=0.0)
     if record.pelvis == "dead-loads":
         priors = replace(priors, shoulder_mm=0.0, frame_shoulder_mm=0.0)
-    return Known(priors, geometry, bool(record.trunk) or record.skin_scan is not None)
+    return Known(priors, geometry, bool(record.trunk) or record.skin_scan is not None, population)
 
 
 def usual_priors() -> dict[str, float]:

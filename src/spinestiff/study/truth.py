@@ -102,9 +102,7 @@ def compare_with_truth(
     if size is None:
         return unknown
     try:
-        distance2 = rise_of(
-            pushes, fit_end(estimate), wanted, estimate.population, estimate.training_rmse_mm.fit, starts
-        )
+        distance2 = rise_of(pushes, fit_end(estimate), wanted, estimate.training_rmse_mm.fit, starts)
     except EquilibriumError:
         return unknown
     return unknown.model_copy(update={"distance2": distance2, "inside": bool(distance2 <= size)})

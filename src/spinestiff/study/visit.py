@@ -129,14 +129,14 @@ def _check_prior(visit: Visit) -> None:
         raise SubjectError(f"{error}; estimate the whole spine's bending, or ask for no population") from None
 
 
-def load_start(visit: Visit, orientation: Orientation, method: str) -> PushSet | None:
+def load_start(visit: Visit, orientation: Orientation, method: str, population: str | None = None) -> PushSet | None:
     """The same trials on the coarse torso that an estimate on the fine one starts on; None where there is none.
 
     Raises
     ------
     SubjectError : as ``load_pushes``.
     """
-    return pushes_on(visit, torso_on(visit, "coarse"), orientation, method) if has_start(visit) else None
+    return pushes_on(visit, torso_on(visit, "coarse"), orientation, method, population) if has_start(visit) else None
 
 
 def has_start(visit: Visit) -> bool:
@@ -162,14 +162,14 @@ def torso_on(visit: Visit, mesh: str) -> TorsoModel:
     return visit.torso()
 
 
-def load_pushes(visit: Visit, orientation: Orientation, method: str) -> PushSet:
+def load_pushes(visit: Visit, orientation: Orientation, method: str, population: str | None = None) -> PushSet:
     """Trials of a visit that has been tracked and personalised; the paper's method holds the pelvis level.
 
     Raises
     ------
     SubjectError : an earlier step has not run, or its results are not as it left them.
     """
-    return pushes_on(visit, visit.torso(), orientation, method)
+    return pushes_on(visit, visit.torso(), orientation, method, population)
 
 
 def motion_doubts(visit: Visit) -> tuple[str, ...]:
@@ -186,7 +186,9 @@ def motion_doubts(visit: Visit) -> tuple[str, ...]:
     return tuple(check.text for check in failed(judge_motion(record, pushes)))
 
 
-def pushes_on(visit: Visit, torso: TorsoModel, orientation: Orientation, method: str) -> PushSet:
+def pushes_on(
+    visit: Visit, torso: TorsoModel, orientation: Orientation, method: str, population: str | None = None
+) -> PushSet:
     """The same on a given torso."""
     tracked = read_outcome(visit.subject, Tracked)
     lacking = [push.id for push in visit.subject.pushes if push.id not in tracked.pushes]
@@ -194,6 +196,6 @@ def pushes_on(visit: Visit, torso: TorsoModel, orientation: Orientation, method:
         raise SubjectError(f"{visit.file(Tracked.FILE)}: no push '{lacking[0]}'; run spinestiff track again")
     record = visit.subject.record
     if method == "paper":
-        record = record.model_copy(update={"pelvis": "level", "wall": "bilateral"})
-    known = known_of(record, read_outcome(visit.subject, GeometryRecord).matrix)
+        record, population = record.model_copy(update={"pelvis": "level", "wall": "bilateral"}), None
+    known = known_of(record, read_outcome(visit.subject, GeometryRecord).matrix, population)
     return push_set(torso, visit.subject.pushes, tracked.pushes, orientation, rig_of(record), known)

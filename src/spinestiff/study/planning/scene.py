@@ -12,11 +12,12 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import SubjectError
+from spinestiff.estimation.known import Known
 from spinestiff.files import read_text
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.push import Rig
 from spinestiff.personalise.pose import align_view, posed
-from spinestiff.study.trials import Known, PushSet, known_of, rig_of
+from spinestiff.study.trials import PushSet, known_of, rig_of
 from spinestiff.study.visit import USUAL, Visit, load_pushes, load_start, torso_on
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, image_corners, read_rest
@@ -39,7 +40,7 @@ class Scene(ShortRepr):
     view : from where, moved to where the patient stands. vertebrae : that it shows.
     names : of the ratios. places : (K, P) log ratios, where they may lie.
     taken : what the estimate has been made from; None before any push.
-    tracking_factor : of the size of tracking's errors. population : whose ratios are held.
+    tracking_factor : of the size of tracking's errors.
     intervals : name -> the factor, either way on average, of the 95 % interval that the estimate has, if it is closed.
     doubts : about the estimate, in words.
     marked_aside : vertebrae that a lateral radiograph shows; None: those that the frontal one does.
@@ -54,7 +55,6 @@ class Scene(ShortRepr):
     places: Floats
     taken: PushSet | None = None
     tracking_factor: float = 1.0
-    population: str | None = None
     intervals: Mapping[str, float] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
     marked_aside: tuple[str, ...] | None = None
@@ -125,7 +125,7 @@ def _of_population(visit: Visit) -> Scene:
             f"{', '.join(visit.parameters)}; leave parameters out of subject.json until there is an estimate"
         )
     refuse_changed(subject, "personalise")
-    known = known_of(subject.record, read_outcome(subject, GeometryRecord).matrix)
+    known = known_of(subject.record, read_outcome(subject, GeometryRecord).matrix, visit.population)
     torso = torso_on(visit, "coarse")
     picture = read_rest(subject, "frontal")
     corners = image_corners(subject, "rest/frontal", picture.view)
@@ -138,7 +138,6 @@ def _of_population(visit: Visit) -> Scene:
         corners.vertebrae,
         USUAL,
         population_places(),
-        population=visit.population,
     )
 
 
@@ -151,9 +150,9 @@ def _of_estimate(visit: Visit) -> Scene:
             f"{visit.file(Estimate.FILE)}: is by the paper's method, which knows no uncertainty to narrow; "
             "run spinestiff estimate with --method weighed"
         )
-    pushes = load_start(visit, estimate.orientation, estimate.method)
+    pushes = load_start(visit, estimate.orientation, estimate.method, estimate.population)
     if pushes is None:
-        pushes = load_pushes(visit, estimate.orientation, estimate.method)
+        pushes = load_pushes(visit, estimate.orientation, estimate.method, estimate.population)
     draws = np.log(read_draws(read_text(result_path(subject, "posterior.csv", "estimate")), estimate.parameters))
     first = pushes.fitted[0].trial
     seen = max((item.trial.corners.vertebrae for item in pushes.fitted), key=len)
@@ -167,7 +166,6 @@ def _of_estimate(visit: Visit) -> Scene:
         places_of_draws(draws),
         pushes,
         estimate.tracking_factor or 1.0,
-        estimate.population,
         {
             name: float(np.exp(2.0 * ratio.sd_log))
             for name, ratio in estimate.ratios.items()

@@ -52,8 +52,8 @@ class ExpectedWidths:
         seen_as = "procrustes" if scene.taken is None else scene.taken.orientation
         trials = _OneByOne([p for p, _ in loaded], [trial for _, trial in loaded], carried.groups, seen_as)
         known = scene.known
-        held = ratio_prior(carried.groups, scene.torso.joints.kinds, known.priors.level_smoothness, scene.population)
-        problem = WeighedProblem(trials, still, seen_as, known.priors, known.geometry, known.taped, held)
+        held = ratio_prior(carried.groups, scene.torso.joints.kinds, known.priors.level_smoothness, known.population)
+        problem = WeighedProblem(trials, still, seen_as, known, held)
         better = {"trunk size": known.priors.trunk_taped / max(known.priors.trunk, 1e-300)}
         self.designs: list[Design] = []
         for number, (place, states) in enumerate(zip(carried.places, carried.states)):

@@ -285,7 +285,8 @@ def force_changes(visit: Visit, say: Observer) -> tuple[dict[str, float], tuple[
     basis = basis_of(visit)
 
     def refit(force: float, start: Mapping[str, float] | None) -> dict[str, float]:
-        pushes = pushes_on(with_force(visit, force), basis.torso, basis.estimate.orientation, "weighed")
+        estimate = basis.estimate
+        pushes = pushes_on(with_force(visit, force), basis.torso, estimate.orientation, "weighed", estimate.population)
         return basis.refit(pushes, start).ratios.as_dict()
 
     there: dict[str, float] | None = None
