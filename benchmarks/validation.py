@@ -36,7 +36,7 @@ from spinestiff.anatomy.stiffness import (
 from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.imaging.features import rmse
-from spinestiff.mechanics.contact import solve_with_contact
+from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push, three_point_reactions
 from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
@@ -433,13 +433,9 @@ def response(mesh: str) -> Found:
             if wall == "wall":
                 start = body.torso.rest_pose  # what a support holds stays where the start has it
             supports = three_point_supports(body.torso, body.side, pelvis, wall != "no wall")
-            problem = EquilibriumProblem(body.torso, supports)
-            touching = len(supports.names) - 1
-            if "one-sided" in wall:
-                contact = solve_with_contact(problem, body.load(), body.ratios(), start)
-                solved, touching = contact.equilibrium, int(contact.touching.sum()) - 1
-            else:
-                solved = problem.solve(body.load(), body.ratios(), start).require()
+            problem = (OneSidedProblem if "one-sided" in wall else EquilibriumProblem)(body.torso, supports)
+            solved = problem.solve(body.load(), body.ratios(), start).require()
+            touching = sum(r.kind is SupportKind.WALL and bool(r.force.any()) for r in solved.reactions)
             start = solved.state
             table.append({"body": number, "supports": kind, **_response(body, solved), "wall_points": touching})
     rows = [_force_per_degree(table, kind) for kind in SUPPORTS]
@@ -566,9 +562,9 @@ def forward(mesh: str) -> Found:
         rest = body.corners(body.torso.rest_pose)
         default = body.problem.solve(body.load()).require().state
         states = {"level, wall": body.problem.solve(body.load(), body.ratios()).require().state}
-        states["level, one-sided wall"] = solve_with_contact(
-            body.problem, body.load(), body.ratios(), states["level, wall"]
-        ).equilibrium.state
+        one_sided = OneSidedProblem(body.torso, three_point_supports(body.torso, body.side))
+        solved = one_sided.solve(body.load(), body.ratios(), states["level, wall"]).require()
+        states["level, one-sided wall"] = solved.state
         papers = stiffness_ratios({"intervertebral_bending": subject.bending, "tissue": subject.tissue})
         states[FORWARD[2]] = body.problem.solve(body.load(), papers, states["level, wall"]).require().state
         defaults = dict.fromkeys(FORWARD[:3], default)

@@ -86,6 +86,10 @@ def test_what_is_asked_goes_before_subject_json_and_that_before_the_usual(subjec
         Settings(parameters=("stiffness",))
 
 
+def test_a_truth_may_be_named_by_text(finished):
+    assert open_visit(str(finished.folder), truth=str(finished.truth)).truth == finished.truth
+
+
 def test_ratios_are_read_back(finished):
     visit = open_visit(finished.folder)
     pushes = load_pushes(visit, "procrustes", "weighed")

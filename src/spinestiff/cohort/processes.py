@@ -39,7 +39,7 @@ class _Running:
     started: str
     began: float = field(default_factory=time.monotonic)
     told: dict[str, Any] | None = None
-    killed: str = ""
+    over: tuple[str, str] | None = None  # which limit, as how the try ended, and by how much in words
     peak_mb: float = 0.0
 
 
@@ -137,20 +137,20 @@ class Processes:
     def _check(self, one: _Running) -> None:
         seconds, limits = time.monotonic() - one.began, self._limits
         one.peak_mb = max(one.peak_mb, _resident_mb(one.process.pid))
-        if one.killed:
+        if one.over is not None:
             return
         if limits.seconds is not None and seconds > limits.seconds:
-            one.killed = f"timed out: was not done after {limits.seconds:g} s (--minutes)"
+            one.over = "timed out", f"was not done after {limits.seconds:g} s (--minutes)"
         elif limits.memory_mb is not None and one.peak_mb > limits.memory_mb:
-            one.killed = f"out of memory: took more than {limits.memory_mb:.0f} MB (--memory)"
-        if one.killed:
+            one.over = "out of memory", f"took more than {limits.memory_mb:.0f} MB (--memory)"
+        if one.over is not None:
             _kill(one.process)
 
     def _judged(self, one: _Running, status: int) -> Try:
         told = one.told or {}
         ended, words = str(told.get("end", "crashed")), str(told.get("words", ""))
-        if one.killed:
-            ended, words = one.killed.partition(":")[0], one.killed
+        if one.over is not None:
+            ended, words = one.over[0], ": ".join(one.over)
         elif one.told is None:
             words = f"crashed: its process ended {_status_words(status)}; {one.log} may tell more"
         elif ended in ("crashed", "out of memory"):

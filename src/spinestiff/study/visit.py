@@ -101,8 +101,9 @@ class Visit:
         return read_torso(result_path(self.subject, "torso.npz", "personalise"))
 
 
-def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path | None = None) -> Visit:
+def open_visit(folder: str | Path, settings: Settings | None = None, truth: str | Path | None = None) -> Visit:
     """Read and check a subject folder (and the truth file) for the steps. Raises SubjectError."""
+    truth = None if truth is None else Path(truth)
     if truth is not None:
         read_truth(truth)
     subject = read_subject(folder)
