@@ -11,7 +11,7 @@ from pathlib import Path
 from spinestiff.cohort.row import Row, Stiffness, write_row
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.files import write_json, write_text
-from spinestiff.study.wording import TIMES_DEFAULT
+from spinestiff.study.wording.titles import TIMES_DEFAULT
 
 QUICK = "cohort_runners:quick"
 

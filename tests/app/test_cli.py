@@ -19,7 +19,9 @@ from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics import equilibrium
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import steps
-from spinestiff.study.wording import combination_lines, estimated, factor_lines, headline, pelvis_lines, response_lines
+from spinestiff.study.wording.estimate import combination_lines, factor_lines, headline, pelvis_lines
+from spinestiff.study.wording.numbers import estimated
+from spinestiff.study.wording.steps import response_lines
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_subject

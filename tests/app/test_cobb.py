@@ -16,7 +16,7 @@ from spinestiff.files import read_json, write_json
 from spinestiff.study.report.clinician import clinician_content
 from spinestiff.study.report.viewer.page import component
 from spinestiff.study.visit import open_visit
-from spinestiff.study.wording import response_lines
+from spinestiff.study.wording.steps import response_lines
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_subject

@@ -5,7 +5,8 @@ from __future__ import annotations
 from spinestiff.app.findings import print_estimate
 from spinestiff.curves.pushes import push_responses
 from spinestiff.study.visit import open_visit
-from spinestiff.study.wording import combination_lines, headline, response_lines
+from spinestiff.study.wording.estimate import combination_lines, headline
+from spinestiff.study.wording.steps import response_lines
 from spinestiff.subject import run_record
 from spinestiff.subject.estimate_outcome import Check, CombinationRecord, Estimate
 from spinestiff.subject.folder import read_subject

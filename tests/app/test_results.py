@@ -13,7 +13,7 @@ from spinestiff.study.report.frame_content import prediction_content
 from spinestiff.study.report.pictures import curve_changes
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import open_visit
-from spinestiff.study.wording import fixed
+from spinestiff.study.wording.numbers import fixed
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.run_record import read_outcome
 

@@ -19,7 +19,7 @@ from spinestiff.study.seven.participants import seven
 from spinestiff.study.seven.subject import known_outcome, result_file, settings_digest, stored_outcome
 from spinestiff.study.synthetic import truth_path
 from spinestiff.study.visit import Settings
-from spinestiff.study.wording import listed
+from spinestiff.study.wording.numbers import listed
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.program import program_of_numbers
 from study_outcomes import outcome

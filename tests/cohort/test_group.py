@@ -21,7 +21,7 @@ from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.cohort.worker import Task, make_results
 from spinestiff.errors import InUseError, SubjectError
 from spinestiff.files import file_digest
-from spinestiff.study.wording import TIMES_DEFAULT, TIMES_WHOLE
+from spinestiff.study.wording.titles import TIMES_DEFAULT, TIMES_WHOLE
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate, RatioEstimate, TrainingError
 

@@ -13,7 +13,7 @@ from spinestiff.cohort.picture import draw_statistics
 from spinestiff.cohort.row import Stiffness
 from spinestiff.cohort.statistics import Effect, _holm, cohort_statistics, covariates
 from spinestiff.cohort.statistics_words import statistics_sections, title_of
-from spinestiff.study.wording import TIMES_DEFAULT, TIMES_WHOLE
+from spinestiff.study.wording.titles import TIMES_DEFAULT, TIMES_WHOLE
 
 
 def people(count, effect=0.0, seed=0, **changes):

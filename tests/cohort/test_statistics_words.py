@@ -7,7 +7,7 @@ from spinestiff.cohort.group import Member
 from spinestiff.cohort.row import Stiffness
 from spinestiff.cohort.statistics import cohort_statistics
 from spinestiff.cohort.statistics_words import statistics_lines, statistics_sections
-from spinestiff.study.wording import TIMES_DEFAULT
+from spinestiff.study.wording.titles import TIMES_DEFAULT
 
 
 def people(logs, sd, **changes):

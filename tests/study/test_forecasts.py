@@ -18,7 +18,7 @@ from spinestiff.imaging.features import VertebraCorners, silhouette_shares, stat
 from spinestiff.imaging.projection import FRONT, LEFT, UP, frontal_view, placed_view
 from spinestiff.mechanics.loads import no_load
 from spinestiff.study.forecasts import forecast_record
-from spinestiff.study.wording import forecast_lines
+from spinestiff.study.wording.steps import forecast_lines
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.run_record import read_outcome

@@ -14,7 +14,6 @@ from spinestiff.estimation.objective import make_target
 from spinestiff.imaging.features import state_features
 from spinestiff.study import parameters
 from spinestiff.study.paper import TABLE_3
-from spinestiff.study.parameter_words import TITLES, gradient_rows, parameter_lines
 from spinestiff.study.parameters import (
     SIX,
     cross_folds,
@@ -30,6 +29,7 @@ from spinestiff.study.parameters import (
 )
 from spinestiff.study.refits import basis_of
 from spinestiff.study.visit import Settings, open_visit
+from spinestiff.study.wording.parameters import TITLES, gradient_rows, parameter_lines
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.parameters_outcome import GradientRow, ModelScore, ParameterEffect, ParameterStudy
 

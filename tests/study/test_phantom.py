@@ -21,7 +21,7 @@ from spinestiff.study.phantom import (
     push_on,
     read_phantom,
 )
-from spinestiff.study.phantom_words import phantom_lines
+from spinestiff.study.wording.phantom import phantom_lines
 from spinestiff.subject.phantom_record import JointRecord
 
 RUBBER = {"width_mm": 90.0, "depth_mm": 70.0, "young_mpa": 0.05, "young_sd_mpa": 0.001, "spacing_mm": 60.0}

@@ -26,11 +26,11 @@ from spinestiff.study.planning import proposal, states, widths
 from spinestiff.study.planning.proposal import make_plan
 from spinestiff.study.planning.scene import PLACES, Scene, places_of_draws, population_places, read_draws, scene_of
 from spinestiff.study.planning.wish import Frame, Wish
-from spinestiff.study.planning.words import now_of, pays, plan_lines, size_of
 from spinestiff.study.report.protocol import protocol_page
 from spinestiff.study.runner import run_steps
 from spinestiff.study.synthetic_markers import spread_markers
 from spinestiff.study.visit import Settings, open_visit
+from spinestiff.study.wording.plan import now_of, pays, plan_lines, size_of
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome
 

@@ -12,7 +12,6 @@ from scipy.stats import norm
 from spinestiff.app.repeat import record_of
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
-from spinestiff.study.repeat_words import change_words, repeatability_lines
 from spinestiff.study.repeatability import (
     LEAST_REACH,
     TWO_SIDED,
@@ -24,6 +23,7 @@ from spinestiff.study.repeatability import (
 from spinestiff.study.report.figures import as_png
 from spinestiff.study.report.repeat_picture import draw_repeatability
 from spinestiff.study.visit import open_visit
+from spinestiff.study.wording.repeat import change_words, repeatability_lines
 from spinestiff.subject.estimate_outcome import Estimate, RatioEstimate
 from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.run_record import read_outcome

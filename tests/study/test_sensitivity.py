@@ -27,7 +27,9 @@ from spinestiff.study.sensitivity import (
     weighed_cases,
     with_force,
 )
-from spinestiff.study.sensitivity_words import (
+from spinestiff.study.visit import Settings, open_visit, pushes_on
+from spinestiff.study.wording.numbers import fixed
+from spinestiff.study.wording.sensitivity import (
     estimator_columns,
     force_cells,
     force_lines,
@@ -38,8 +40,6 @@ from spinestiff.study.sensitivity_words import (
     table_7_average,
     tornado_rows,
 )
-from spinestiff.study.visit import Settings, open_visit, pushes_on
-from spinestiff.study.wording import fixed
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.sensitivity_outcome import Refit, Sensitivity
 

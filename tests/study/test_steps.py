@@ -22,14 +22,15 @@ from spinestiff.estimation.unknowns import ACTS
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.study import steps, truth, wording, written
+from spinestiff.study import steps, truth, written
 from spinestiff.study.forecasts import fit_end
 from spinestiff.study.report.estimate_content import result_content
 from spinestiff.study.runner import ALL_STEPS, run_steps
 from spinestiff.study.steps import assess_step, stored_predictions, usual_ratios, view_step
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Settings, load_pushes, open_visit
-from spinestiff.study.wording import held_lines
+from spinestiff.study.wording.estimate import held_lines
+from spinestiff.study.wording.numbers import number
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Estimate, RatioEstimate
 from spinestiff.subject.geometry_outcome import GeometryRecord
@@ -232,9 +233,9 @@ def test_a_failed_check_makes_the_estimate_doubtful(subject, finished):
     for push in content["pushes"]:
         push["forces_n"] = [round(force / 9.81, 3) for force in push["forces_n"]]
     write_json(subject / "subject.json", content)
-    for name, number in (("rest/frontal", 1), ("rest/lateral", 1), ("pushes/main", 2), ("pushes/second", 1)):
+    for name, patient in (("rest/frontal", 1), ("rest/lateral", 1), ("pushes/main", 2), ("pushes/second", 1)):
         dataset = pydicom.dcmread(subject / f"{name}.dcm")
-        dataset.PatientID, dataset.PatientIdentityRemoved = f"{CANARY}{number}", "NO"
+        dataset.PatientID, dataset.PatientIdentityRemoved = f"{CANARY}{patient}", "NO"
         dataset.PatientName = f"{CANARY}^{number}"
         dataset.save_as(subject / f"{name}.dcm")
     visit = open_visit(subject)
@@ -519,7 +520,7 @@ def test_other_parameters_and_a_population_asked_in_subject_json(subject, finish
     assert page["held"] == lines
     assert page["ratios"][0]["title"] == "Lateral bending of the spine, T1-S1"
     true_bending = read_truth(visit.truth)["lateral_bending"]
-    assert page["ratios"][0]["truth"] == wording.number(true_bending)
+    assert page["ratios"][0]["truth"] == number(true_bending)
     assert page["bending"] is not None
     # At its own equilibria.
     compared = []

@@ -8,37 +8,32 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from spinestiff.study.wording import (
-    MISSING,
-    PLAIN,
-    UNKNOWNS,
+from spinestiff.study.wording.estimate import (
     badge,
     best_known_text,
-    changed,
     combination_lines,
     costly_unknowns,
-    estimated,
-    factor95,
     factor_lines,
-    fixed,
-    geometry_lines,
     headline,
-    interval,
     least_known,
-    listed,
     most_costly,
     moved_sd,
-    number,
     pelvis_lines,
-    response_lines,
+    strongest_priors,
+)
+from spinestiff.study.wording.numbers import (
+    MISSING,
+    estimated,
+    factor95,
+    fixed,
+    interval,
+    listed,
+    number,
     short_span,
     span_in_words,
-    stiffness_title,
-    strongest_priors,
-    tracking_lines,
-    unknown_title,
-    within_a_sentence,
 )
+from spinestiff.study.wording.steps import changed, geometry_lines, response_lines, tracking_lines
+from spinestiff.study.wording.titles import PLAIN, UNKNOWNS, stiffness_title, unknown_title, within_a_sentence
 from spinestiff.subject.estimate_outcome import (
     BudgetRecord,
     CombinationRecord,

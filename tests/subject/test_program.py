@@ -20,7 +20,7 @@ def package(tmp_path: Path) -> Path:
         "app/cli.py",
         "anatomy/__pycache__/a.pyc",
         "study/assessment.py",
-        "study/wording.py",
+        "study/wording/numbers.py",
         "study/report/page.py",
         "study/report/report.html.j2",
     ):
@@ -39,7 +39,7 @@ def package(tmp_path: Path) -> Path:
         ("app/cli.py", False),
         ("anatomy/__pycache__/a.pyc", False),
         ("anatomy/.torso.py.swp", False),
-        ("study/wording.py", True),
+        ("study/wording/numbers.py", True),
         ("study/report/report.html.j2", True),
     ],
 )
@@ -56,7 +56,7 @@ def test_code_and_data_that_results_come_from_count(package: Path, name: str, co
         ("anatomy/torso.py", True),
         ("anatomy/data/torso.npz", True),
         ("study/assessment.py", True),
-        ("study/wording.py", False),
+        ("study/wording/numbers.py", False),
         ("study/report/page.py", False),
         ("study/report/report.html.j2", False),
         ("app/cli.py", False),

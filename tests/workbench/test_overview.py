@@ -16,11 +16,12 @@ import pytest
 from bench_page import click, go, load, text
 from chromium import browser
 from spinestiff.files import read_json, write_json
-from spinestiff.study.repeat_words import repeatability_lines
 from spinestiff.study.repeatability import VisitEstimate, VisitRatio, estimate_of, repeatability
 from spinestiff.study.report.clinician import stiffness
 from spinestiff.study.visit import open_visit
-from spinestiff.study.wording import RATIO_TITLES, TIMES_DEFAULT, TIMES_WHOLE, told_stiffness
+from spinestiff.study.wording.estimate import told_stiffness
+from spinestiff.study.wording.repeat import repeatability_lines
+from spinestiff.study.wording.titles import RATIO_TITLES, TIMES_DEFAULT, TIMES_WHOLE
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.outcomes import Responses

@@ -84,7 +84,7 @@ def _of_folder(
     table: Path | None,
 ) -> int:
     from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses
-    from spinestiff.study.wording import response_lines
+    from spinestiff.study.wording.steps import response_lines
     from spinestiff.subject.folder import read_subject
     from spinestiff.subject.output_places import check_output_beside
 

@@ -9,7 +9,7 @@ import typer
 
 def print_tracking(visit: Any) -> None:
     """What came of following the corners, and where to look at them."""
-    from spinestiff.study.wording import tracking_lines
+    from spinestiff.study.wording.steps import tracking_lines
     from spinestiff.subject.outcomes import Tracked
     from spinestiff.subject.run_record import read_outcome
     from spinestiff.words import pasted
@@ -21,7 +21,7 @@ def print_tracking(visit: Any) -> None:
 
 def print_geometry(visit: Any) -> None:
     """How well the torso fits the radiographs at rest."""
-    from spinestiff.study.wording import geometry_lines
+    from spinestiff.study.wording.steps import geometry_lines
     from spinestiff.subject.geometry_outcome import GeometryRecord
     from spinestiff.subject.run_record import read_outcome
 
@@ -32,7 +32,7 @@ def print_geometry(visit: Any) -> None:
 def print_response(visit: Any) -> None:
     """N per degree and flexibility of each push, without a model."""
     from spinestiff.curves.pushes import push_responses
-    from spinestiff.study.wording import response_lines
+    from spinestiff.study.wording.steps import response_lines
 
     typer.echo("Without a model (95 % intervals):")
     for line in response_lines(push_responses(visit.subject)):
@@ -45,7 +45,7 @@ def print_estimate(visit: Any) -> None:
     What makes the estimate doubtful stands before all that is the model's.
     """
     from spinestiff.app import tables
-    from spinestiff.study.wording import combination_lines, factor_lines, headline, held_lines, pelvis_lines
+    from spinestiff.study.wording.estimate import combination_lines, factor_lines, headline, held_lines, pelvis_lines
     from spinestiff.subject.estimate_outcome import Estimate
     from spinestiff.subject.run_record import read_outcome
 
@@ -76,7 +76,7 @@ def print_estimate(visit: Any) -> None:
 def print_assessment(visit: Any) -> None:
     """The held-out frames, and the truth where it is given."""
     from spinestiff.app import tables
-    from spinestiff.study.wording import forecast_lines
+    from spinestiff.study.wording.steps import forecast_lines
     from spinestiff.subject.assessment_outcome import Assessment, Comparison
     from spinestiff.subject.run_record import read_outcome
 

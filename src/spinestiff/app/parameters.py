@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from spinestiff.app import tables
-from spinestiff.study.parameter_words import TITLES, gradient_rows, model_title, parameter_lines
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import fixed, number
+from spinestiff.study.wording.numbers import fixed, number
+from spinestiff.study.wording.parameters import TITLES, gradient_rows, model_title, parameter_lines
 from spinestiff.subject.parameters_outcome import ParameterStudy
 from spinestiff.subject.run_record import read_outcome
 

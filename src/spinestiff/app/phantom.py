@@ -6,7 +6,7 @@ from pathlib import Path
 
 from spinestiff.app import tables
 from spinestiff.study.phantom import analyse, read_phantom
-from spinestiff.study.phantom_words import phantom_lines, record_of
+from spinestiff.study.wording.phantom import phantom_lines, record_of
 
 DISAGREES = 1
 

@@ -14,7 +14,9 @@ from spinestiff.observer import Observer, heard
 from spinestiff.study.planning.proposal import make_plan
 from spinestiff.study.planning.scene import scene_of
 from spinestiff.study.planning.wish import RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish
-from spinestiff.study.planning.words import (
+from spinestiff.study.runner import ALL_STEPS, PUSHES, logged_step, run_steps
+from spinestiff.study.visit import Visit
+from spinestiff.study.wording.plan import (
     VIEW_WORDS,
     now_of,
     pays,
@@ -24,8 +26,6 @@ from spinestiff.study.planning.words import (
     size_of,
     width,
 )
-from spinestiff.study.runner import ALL_STEPS, PUSHES, logged_step, run_steps
-from spinestiff.study.visit import Visit
 from spinestiff.subject.plan_outcome import Plan, PlannedPush
 from spinestiff.subject.run_record import record_step, recorded_steps, step_record, write_outcome
 

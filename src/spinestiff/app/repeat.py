@@ -11,9 +11,9 @@ from typing import Any
 from spinestiff.app import tables
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.files import read_json, write_bytes, write_json
-from spinestiff.study.repeat_words import repeatability_lines
 from spinestiff.study.repeatability import Repeatability, estimate_of, repeatability
 from spinestiff.study.visit import open_visit
+from spinestiff.study.wording.repeat import repeatability_lines
 from spinestiff.subject.output_places import check_output_apart
 
 RECORD, PICTURE = "repeat.json", "repeat.png"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from spinestiff.app import tables
-from spinestiff.study.sensitivity_words import (
+from spinestiff.study.visit import Visit
+from spinestiff.study.wording.numbers import fixed, number
+from spinestiff.study.wording.sensitivity import (
     TITLES,
     change_title,
     estimator_columns,
@@ -13,8 +15,6 @@ from spinestiff.study.sensitivity_words import (
     ratio_rows,
     sensitivity_lines,
 )
-from spinestiff.study.visit import Visit
-from spinestiff.study.wording import fixed, number
 from spinestiff.subject.run_record import read_outcome
 from spinestiff.subject.sensitivity_outcome import Sensitivity
 

@@ -13,21 +13,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from spinestiff.normal import HALF_WIDTH_95
-from spinestiff.study.wording import (
-    PLAIN,
+from spinestiff.study.wording.estimate import (
     badge,
     costly_unknowns,
-    estimated,
-    factor95,
-    fixed,
     halved_or_doubled,
-    interval,
     known_word,
     least_known,
-    number,
     strongest_priors,
-    unknown_title,
 )
+from spinestiff.study.wording.numbers import estimated, factor95, fixed, interval, number
+from spinestiff.study.wording.titles import PLAIN, unknown_title
 
 if TYPE_CHECKING:
     from spinestiff.study.repeatability import Repeatability

@@ -18,7 +18,7 @@ from spinestiff.cohort.row import Row, Stiffness, read_row
 from spinestiff.curves.corner_csv import FORMULA
 from spinestiff.errors import SubjectError
 from spinestiff.files import no_folder
-from spinestiff.study.wording import TIMES_DEFAULT, TIMES_WHOLE
+from spinestiff.study.wording.titles import TIMES_DEFAULT, TIMES_WHOLE
 
 State = Literal["failed", "damaged", "not run", "out of date", "done"]
 STATES: tuple[State, ...] = ("failed", "damaged", "not run", "out of date", "done")

@@ -14,7 +14,8 @@ from spinestiff.cohort.group import STATES, Member, common_order, stiffness_of
 from spinestiff.cohort.row import Stiffness
 from spinestiff.cohort.statistics import ordered_kinds
 from spinestiff.study.report.viewer.page import page_environment, source_hash
-from spinestiff.study.wording import TIMES_WHOLE, fixed, number
+from spinestiff.study.wording.numbers import fixed, number
+from spinestiff.study.wording.titles import TIMES_WHOLE
 
 STATE_WORDS = {state: "damaged results" if state == "damaged" else state for state in STATES}
 

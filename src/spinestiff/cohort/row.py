@@ -22,7 +22,7 @@ class Stiffness(CohortRecord):
 
     Attributes
     ----------
-    unit : as people read it: "kPa", "N m/rad" or, of a ratio, what it is relative to (``study.wording.ratio_unit``).
+    unit : as people read it: "kPa", "N m/rad" or, of a ratio, what it is relative to (``wording.titles.ratio_unit``).
     low, high : ends of the interval; None = none was found. open_low, open_high : the end is the fit's bound.
     sd_log : standard deviation of its log; None where the interval has no two closed ends, or the value is at a bound.
     visit_sd_log : of its log from visit to visit of one unchanged person; None = not known.
@@ -64,7 +64,7 @@ class Row(CohortRecord):
     population : whose ratios the estimate holds as a prior; None: nobody's.
     status : of the estimate. determined : how far the radiographs determine it, or that its method has no intervals.
     failed_checks : by name.
-    stiffness : ratios by name and, in plain units, by the names of ``study.wording.PLAIN``.
+    stiffness : ratios by name and, in plain units, by the names of ``study.wording.titles.PLAIN``.
     training_rmse_mm : corner RMSE over the training frames. p_value : of residuals as large.
     report : file in the results that people read, or None.
     """

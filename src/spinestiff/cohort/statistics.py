@@ -19,7 +19,7 @@ from spinestiff.cohort.group import Member, stiffness_kinds
 from spinestiff.cohort.hierarchy import Hierarchy, group_size, hierarchy
 from spinestiff.cohort.row import Row, Stiffness
 from spinestiff.errors import FitError
-from spinestiff.study.wording import PLAIN, TIMES_DEFAULT, TIMES_WHOLE
+from spinestiff.study.wording.titles import PLAIN, TIMES_DEFAULT, TIMES_WHOLE
 
 FEWEST = 5
 """People from which there are statistics of a stiffness."""

@@ -9,7 +9,8 @@ from spinestiff.cohort.group import Member
 from spinestiff.cohort.page import Section
 from spinestiff.cohort.statistics import FEWEST, PEOPLE_A_COVARIATE, Effect, Needed, StiffnessStatistics
 from spinestiff.study.report.figures import as_png
-from spinestiff.study.wording import PLAIN, number
+from spinestiff.study.wording.numbers import number
+from spinestiff.study.wording.titles import PLAIN
 from spinestiff.words import counted
 
 SHOWN = 4

@@ -17,7 +17,9 @@ from spinestiff.observer import Observer
 from spinestiff.run_log import run_log
 from spinestiff.study.runner import STEPS, run_steps
 from spinestiff.study.visit import Settings, Visit, open_visit
-from spinestiff.study.wording import NO_INTERVALS, has_intervals, ratio_unit
+from spinestiff.study.wording.estimate import has_intervals
+from spinestiff.study.wording.numbers import NO_INTERVALS
+from spinestiff.study.wording.titles import ratio_unit
 from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import Quantity

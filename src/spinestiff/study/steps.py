@@ -58,7 +58,8 @@ from spinestiff.study.support_notes import strongest_notes, support_notes
 from spinestiff.study.trials import PushSet
 from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import START, Visit, load_pushes, load_start
-from spinestiff.study.wording import no_estimate, response_lines
+from spinestiff.study.wording.estimate import no_estimate
+from spinestiff.study.wording.steps import response_lines
 from spinestiff.study.written import estimate_record, geometry_record, proposal_record, rest_shape, write_draws
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Estimate

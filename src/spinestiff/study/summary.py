@@ -10,7 +10,7 @@ import io
 from collections.abc import Iterable, Sequence
 
 from spinestiff.normal import HALF_WIDTH_95
-from spinestiff.study.wording import known_word
+from spinestiff.study.wording.estimate import known_word
 from spinestiff.subject.assessment_outcome import PREDICTORS, Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import Quantity

@@ -35,18 +35,13 @@ ABOVE = (
 )
 """Rooms from which no result comes: imports point away from them."""
 TOLD = (
-    "study/parameter_words.py",
-    "study/phantom_words.py",
-    "study/planning/words.py",
-    "study/repeat_words.py",
     "study/report",
-    "study/sensitivity_words.py",
     "study/seven/account.py",
     "study/seven/discussion.py",
     "study/seven/goals.py",
     "study/seven/page.py",
     "study/seven/tables.py",
-    "study/wording.py",
+    "study/wording",
     "words.py",
 )
 """What makes words, pages and pictures of what was found. Whatever counts for a number takes nothing from it but words

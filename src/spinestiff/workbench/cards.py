@@ -12,7 +12,9 @@ from typing import Any
 from spinestiff.curves.changes import change_words
 from spinestiff.errors import SpinestiffError
 from spinestiff.normal import HALF_WIDTH_95
-from spinestiff.study.wording import badge, estimated, headline, interval, stiffness_title, told_stiffness
+from spinestiff.study.wording.estimate import badge, headline, told_stiffness
+from spinestiff.study.wording.numbers import estimated, interval
+from spinestiff.study.wording.titles import stiffness_title
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, annotatable, annotatable_views, read_annotation, read_unannotated
 from spinestiff.subject.gaps import Gap

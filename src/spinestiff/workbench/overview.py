@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from spinestiff.curves.corner_csv import FORMULA
-from spinestiff.study.wording import TIMES_DEFAULT, TIMES_WHOLE
+from spinestiff.study.wording.titles import TIMES_DEFAULT, TIMES_WHOLE
 
 COLUMNS = ("subject", "id", "state", "changed_since", "sex", "age", "height_cm", "pushes", "result")
 ENDS = ("", "_low95", "_high95", "_open")

@@ -12,9 +12,9 @@ from typing import Any
 
 from spinestiff.errors import NotThere, SpinestiffError, SubjectError
 from spinestiff.files import regular_file
-from spinestiff.study.parameter_words import parameter_lines
-from spinestiff.study.planning.words import plan_lines
 from spinestiff.study.runner import ROLES
+from spinestiff.study.wording.parameters import parameter_lines
+from spinestiff.study.wording.plan import plan_lines
 from spinestiff.subject.folder import Subject, read_annotation, read_unannotated
 from spinestiff.subject.parameters_outcome import ParameterStudy
 from spinestiff.subject.plan_outcome import Plan

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import SpinestiffError
-from spinestiff.study.repeat_words import repeatability_lines
 from spinestiff.study.repeatability import estimate_of, repeatability
 from spinestiff.study.visit import open_visit
-from spinestiff.study.wording import ratio_title
+from spinestiff.study.wording.repeat import repeatability_lines
+from spinestiff.study.wording.titles import ratio_title
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.workbench.page_words import page_words
 

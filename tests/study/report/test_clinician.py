@@ -24,7 +24,8 @@ from spinestiff.study.report.clinician import (
 )
 from spinestiff.study.report.estimate_content import bending_line
 from spinestiff.study.visit import Visit, open_visit
-from spinestiff.study.wording import factor95, told_stiffness
+from spinestiff.study.wording.estimate import told_stiffness
+from spinestiff.study.wording.numbers import factor95
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Check, Estimate, PlainStiffness
 from spinestiff.subject.outcome_parts import Determination, Quantity

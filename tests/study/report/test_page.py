@@ -41,7 +41,7 @@ from spinestiff.study.sensitivity import force_percent
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Visit, load_pushes, open_visit
-from spinestiff.study.wording import response_texts
+from spinestiff.study.wording.steps import response_texts
 from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import BudgetRecord, Estimate, PlainStiffness, RatioEstimate

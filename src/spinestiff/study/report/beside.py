@@ -24,7 +24,7 @@ from spinestiff.study.report.frame_content import MODELS
 from spinestiff.study.report.overlay import NO_POINTS, Overlay, Panel, draw_overlay
 from spinestiff.study.report.placing import pixel_mm, pixels_of, sides_of, view_of
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import fixed
+from spinestiff.study.wording.numbers import fixed
 from spinestiff.subject.folder import read_view
 from spinestiff.words import counted
 

@@ -14,27 +14,14 @@ import numpy as np
 
 from spinestiff.curves.changes import change_words
 from spinestiff.curves.pushes import rest_reading
-from spinestiff.study.planning.words import NONE_PAYS, TITLES, VIEW_WORDS, now_of, pays, size_of, width
 from spinestiff.study.report.estimate_content import BENDING_BAND, bending_line, stale_plan
 from spinestiff.study.report.frame_content import comparison_content
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import (
-    PLAIN,
-    digits_of,
-    estimated,
-    factor95,
-    fixed,
-    flexibility,
-    force_per_degree,
-    has_intervals,
-    known_word,
-    listed,
-    number,
-    ratio_title,
-    stiffness_title,
-    told_stiffness,
-    within_a_sentence,
-)
+from spinestiff.study.wording.estimate import has_intervals, known_word, told_stiffness
+from spinestiff.study.wording.numbers import digits_of, estimated, factor95, fixed, listed, number
+from spinestiff.study.wording.plan import NONE_PAYS, TITLES, VIEW_WORDS, now_of, pays, size_of, width
+from spinestiff.study.wording.steps import flexibility, force_per_degree
+from spinestiff.study.wording.titles import PLAIN, ratio_title, stiffness_title, within_a_sentence
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness
 from spinestiff.subject.outcome_parts import Determination, Quantity

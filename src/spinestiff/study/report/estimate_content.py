@@ -12,7 +12,29 @@ from spinestiff.arrays import Floats
 from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
 from spinestiff.study.report.certainty_pictures import SupportPlace
-from spinestiff.study.sensitivity_words import (
+from spinestiff.study.truth import read_truth, true_values
+from spinestiff.study.visit import Visit
+from spinestiff.study.wording.estimate import (
+    badge,
+    best_known_text,
+    determined_of,
+    halved_or_doubled,
+    has_intervals,
+    held_lines,
+    most_costly,
+    moved_sd,
+)
+from spinestiff.study.wording.numbers import (
+    MISSING,
+    estimated,
+    factor95,
+    fixed,
+    interval,
+    number,
+    short_span,
+    span_in_words,
+)
+from spinestiff.study.wording.sensitivity import (
     estimator_columns,
     force_cells,
     force_rows,
@@ -20,31 +42,7 @@ from spinestiff.study.sensitivity_words import (
     ratio_rows,
     sensitivity_lines,
 )
-from spinestiff.study.truth import read_truth, true_values
-from spinestiff.study.visit import Visit
-from spinestiff.study.wording import (
-    BENDING_RATIOS,
-    MISSING,
-    UNMEASURABLE,
-    badge,
-    best_known_text,
-    determined_of,
-    estimated,
-    factor95,
-    fixed,
-    halved_or_doubled,
-    has_intervals,
-    held_lines,
-    interval,
-    most_costly,
-    moved_sd,
-    number,
-    ratio_title,
-    ratio_unit,
-    short_span,
-    span_in_words,
-    unknown_title,
-)
+from spinestiff.study.wording.titles import BENDING_RATIOS, UNMEASURABLE, ratio_title, ratio_unit, unknown_title
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Check, Estimate, PlainStiffness, RatioEstimate, Reactions
 from spinestiff.subject.outcome_parts import Determination, Quantity

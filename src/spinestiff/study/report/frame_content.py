@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from spinestiff.curves.changes import change_words
-from spinestiff.study.wording import MISSING, fixed, forecast_lines, listed, response_texts
+from spinestiff.study.wording.numbers import MISSING, fixed, listed
+from spinestiff.study.wording.steps import forecast_lines, response_texts
 from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.geometry_outcome import GeometryRecord

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from spinestiff import __version__
 from spinestiff.files import write_bytes, write_text
 from spinestiff.observer import Observer
-from spinestiff.study.planning.words import plan_lines
 from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.beside import beside_pictures, beside_rows, pixels_in
 from spinestiff.study.report.clinician import clinician_content
@@ -56,7 +55,8 @@ from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
 from spinestiff.study.truth import known_comparison
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import fixed
+from spinestiff.study.wording.numbers import fixed
+from spinestiff.study.wording.plan import plan_lines
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_push

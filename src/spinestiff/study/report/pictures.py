@@ -23,7 +23,6 @@ from spinestiff.imaging.features import (
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.normal import HALF_WIDTH_95
-from spinestiff.study.planning.words import TITLES, push_words, size_of, width
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.beside import pedicles_in
 from spinestiff.study.report.certainty_pictures import (
@@ -42,10 +41,12 @@ from spinestiff.study.report.overlay import NO_POINTS, Overlay, Panel, draw_over
 from spinestiff.study.report.placing import pixel_mm, pixels_of, push_arrow, sides_of
 from spinestiff.study.report.plan_picture import draw_plan
 from spinestiff.study.report.tornado_picture import draw_tornado
-from spinestiff.study.sensitivity_words import largest, tornado_rows
 from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import listed, number, ratio_title, within_a_sentence
+from spinestiff.study.wording.numbers import listed, number
+from spinestiff.study.wording.plan import TITLES, push_words, size_of, width
+from spinestiff.study.wording.sensitivity import largest, tornado_rows
+from spinestiff.study.wording.titles import ratio_title, within_a_sentence
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import image_corners, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord

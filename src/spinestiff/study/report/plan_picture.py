@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from spinestiff.study.planning.words import TITLES, now_of, push_words, size_of
 from spinestiff.study.report.figures import DEFAULT, FIT, MEASURED, STYLE
+from spinestiff.study.wording.plan import TITLES, now_of, push_words, size_of
 from spinestiff.subject.plan_outcome import Plan, PlannedView
 
 COLOURS = {"left": MEASURED, "right": FIT}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from spinestiff import __version__
-from spinestiff.study.planning.words import NONE_PAYS, plan_lines, radiographs_of
 from spinestiff.study.report.viewer.page import page_environment
+from spinestiff.study.wording.plan import NONE_PAYS, plan_lines, radiographs_of
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.words import counted
 

@@ -30,7 +30,7 @@ from spinestiff.study.seven.page import Picture, Pictures, page_text
 from spinestiff.study.seven.participants import MAIN, STEPS
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import Settings, Visit, open_visit
-from spinestiff.study.wording import listed
+from spinestiff.study.wording.numbers import listed
 from spinestiff.subject.folder import image_corners, read_push, read_rest
 from spinestiff.subject.program import program_of_numbers
 from spinestiff.subject.study_outcome import SubjectOutcome

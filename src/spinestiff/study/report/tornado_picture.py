@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from spinestiff.study.report.figures import DEFAULT, FIT, MEASURED, STYLE
-from spinestiff.study.sensitivity_words import change_title, tornado_rows
-from spinestiff.study.wording import fixed
+from spinestiff.study.wording.numbers import fixed
+from spinestiff.study.wording.sensitivity import change_title, tornado_rows
 from spinestiff.subject.sensitivity_outcome import Refit, Sensitivity
 
 MOST_PANELS = 4

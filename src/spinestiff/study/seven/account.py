@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from spinestiff.study.paper import SUBJECTS
 from spinestiff.study.seven.goals import Goal
-from spinestiff.study.wording import fixed, listed
+from spinestiff.study.wording.numbers import fixed, listed
 from spinestiff.subject.study_outcome import SubjectOutcome
 from spinestiff.words import counted
 

@@ -24,7 +24,7 @@ from spinestiff.study.seven.goals import (
 )
 from spinestiff.study.seven.participants import MAIN, OTHER_LEVEL, OTHER_SIDE, TISSUE_SCALE
 from spinestiff.study.seven.tables import GRADIENTS, NOTHING, OURS, PAPER, RATIOS, PaperTable
-from spinestiff.study.wording import fixed
+from spinestiff.study.wording.numbers import fixed
 from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
 
 DIFFERS = 0.1

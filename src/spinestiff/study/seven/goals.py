@@ -14,7 +14,7 @@ from spinestiff.study.seven.participants import (
     OTHER_LEVEL,
     OTHER_SIDE,
 )
-from spinestiff.study.wording import fixed
+from spinestiff.study.wording.numbers import fixed
 from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
 
 RMSE_MM, SHARE, COBB_MEAN_DEG, COBB_WORST_DEG = 3.3, 1 / 3, 2.9, 5.0

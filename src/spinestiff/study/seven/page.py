@@ -33,7 +33,7 @@ from spinestiff.study.seven.participants import (
     others,
 )
 from spinestiff.study.seven.tables import NOTHING, PaperTable, paper_tables
-from spinestiff.study.wording import fixed, listed
+from spinestiff.study.wording.numbers import fixed, listed
 from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.study_outcome import SubjectOutcome
 from spinestiff.words import counted

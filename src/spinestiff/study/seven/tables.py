@@ -9,7 +9,7 @@ import numpy as np
 
 from spinestiff.study.paper import SUBJECTS, TABLE_3, TABLE_5, TABLE_6, TABLE_7
 from spinestiff.study.seven.participants import MAIN, TABLES_MESH, TISSUE_SCALE
-from spinestiff.study.wording import fixed, interval
+from spinestiff.study.wording.numbers import fixed, interval
 from spinestiff.subject.estimate_outcome import RatioEstimate
 from spinestiff.subject.study_outcome import SubjectOutcome
 

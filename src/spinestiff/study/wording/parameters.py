@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from spinestiff.study.parameters import table_3_average
-from spinestiff.study.wording import fixed, number
+from spinestiff.study.wording.numbers import fixed, number
 from spinestiff.subject.parameters_outcome import ModelScore, ParameterStudy
 
 TITLES: Mapping[str, str] = {

@@ -9,7 +9,7 @@ import numpy as np
 from spinestiff.anatomy.regions import AT
 from spinestiff.study.paper import TABLE_7
 from spinestiff.study.sensitivity import BENDING, PAPER_SERIES
-from spinestiff.study.wording import fixed, listed, number
+from spinestiff.study.wording.numbers import fixed, listed, number
 from spinestiff.subject.sensitivity_outcome import Change, Refit, Sensitivity, Series
 
 TITLES: Mapping[Change, str] = {

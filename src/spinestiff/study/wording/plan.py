@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from spinestiff.study.planning.wish import DISCOMFORT_N, RATIO_OF
-from spinestiff.study.wording import fixed, number
+from spinestiff.study.wording.numbers import fixed, number
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.words import counted
 

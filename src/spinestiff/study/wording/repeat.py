@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from spinestiff.study.repeatability import UNLIKELY, Change, Repeatability, Repeated
-from spinestiff.study.wording import number
+from spinestiff.study.wording.numbers import number
 from spinestiff.words import counted
 
 

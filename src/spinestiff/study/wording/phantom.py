@@ -8,7 +8,7 @@ from dataclasses import asdict
 import numpy as np
 
 from spinestiff.study.phantom import Comparison, PhantomResult
-from spinestiff.study.wording import fixed, number
+from spinestiff.study.wording.numbers import fixed, number
 
 
 def phantom_lines(found: PhantomResult) -> list[str]:
