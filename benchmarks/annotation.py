@@ -36,8 +36,8 @@ from spinestiff.imaging.features import view_kind
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.proposal import leans_of, propose_boxes
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.study.recipe import Recipe, SyntheticPush
-from spinestiff.study.synthetic import synthesise
+from spinestiff.study.synthetic.recipe import Recipe, SyntheticPush
+from spinestiff.study.synthetic.subject import synthesise
 from spinestiff.subject.folder import read_push, read_rest, read_subject
 
 CLICKS = 6

@@ -57,10 +57,10 @@ from spinestiff.errors import RadiographError, SpinestiffError
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import read_radiographs, write_radiographs
 from spinestiff.imaging.synthetic.acquisition import Acquisition
-from spinestiff.study.recipe import Recipe
 from spinestiff.study.runner import run_steps
-from spinestiff.study.spines import real_spine
-from spinestiff.study.synthetic import synthesise
+from spinestiff.study.synthetic.recipe import Recipe
+from spinestiff.study.synthetic.spines import real_spine
+from spinestiff.study.synthetic.subject import synthesise
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.assessment_outcome import Assessment

@@ -73,10 +73,10 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.pose import align_view, posed
 from spinestiff.personalise.shape import personalise
-from spinestiff.study.elastic_supports import drawn_supports, elastic_supports, support_stiffness
 from spinestiff.study.fits import fit_pushes
-from spinestiff.study.spines import curved_spine
-from spinestiff.study.synthetic_markers import spread_markers
+from spinestiff.study.synthetic.elastic_supports import drawn_supports, elastic_supports, support_stiffness
+from spinestiff.study.synthetic.markers import spread_markers
+from spinestiff.study.synthetic.spines import curved_spine
 from spinestiff.study.trials import PushSet, PushTrial, push_set
 from spinestiff.subject.outcomes import MarkerTracks, TrackedPush
 from spinestiff.subject.records import PushRecord

@@ -36,7 +36,7 @@ from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.supports import PELVES, three_point_supports
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study import paper
-from spinestiff.study.spines import CURVES, curved_spine
+from spinestiff.study.synthetic.spines import CURVES, curved_spine
 
 TARGET_N_PER_DEG = 3.66
 # lambda tied to mu on ten-node tetrahedra (the package's); lambda kept at its default; and that on linear tetrahedra.

@@ -39,7 +39,7 @@ from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs
 from spinestiff.personalise.scan import read_scan
 from spinestiff.personalise.scanned_skin import with_scan
 from spinestiff.personalise.shape import personalise
-from spinestiff.study.spines import CURVES, curved_spine, rest_vertebrae
+from spinestiff.study.synthetic.spines import CURVES, curved_spine, rest_vertebrae
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 

@@ -1,8 +1,8 @@
 """What corner noise does to the largest Cobb angle of a spine: how far it reads too large, and from which vertebrae.
 
 The template's seventeen vertebrae stand straight, or in a curve of 20 or 40 degrees of each of four kinds
-(``study.spines.curved_spine``), seen exactly from the front and without magnification. Each corner gets Gaussian noise
-of the default standard deviation, 2 % of the median width, in both coordinates, ``--draws`` times, seeded. Counted of
+(``study.synthetic.spines.curved_spine``), seen exactly from the front and without magnification. Each corner gets
+Gaussian noise of the default standard deviation, 2 % of the median width, in both coordinates, ``--draws`` times, seeded. Counted of
 what ``read_cobb`` makes of the draws, by both definitions: mean and 95th percentile of the largest angle beside what is
 read without noise, how often the end vertebrae are those, and half the 95 % interval that is stated.
 ``docs/cobb.md`` quotes it.
@@ -25,7 +25,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.cobb import DEFINITIONS, CobbReading, Curve, Definition, read_cobb
 from spinestiff.curves.corner_files import ImageCorners
-from spinestiff.study.spines import CURVES, curved_spine
+from spinestiff.study.synthetic.spines import CURVES, curved_spine
 
 RESULTS = Path(__file__).parent / "results" / "cobb_noise.json"
 ANGLES_DEG = (20.0, 40.0)

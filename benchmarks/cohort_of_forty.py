@@ -47,9 +47,9 @@ from spinestiff.cohort.places import LEDGER_FILE
 from spinestiff.cohort.statistics import FEWEST
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.files import whole_folder
-from spinestiff.study.recipe import PLANNED_PUSHES, Recipe
-from spinestiff.study.spines import CURVES
-from spinestiff.study.synthetic import synthesise, truth_path
+from spinestiff.study.synthetic.recipe import PLANNED_PUSHES, Recipe
+from spinestiff.study.synthetic.spines import CURVES
+from spinestiff.study.synthetic.subject import synthesise, truth_path
 
 RESULTS = Path(__file__).parent / "results" / "cohort_of_forty.json"
 STREAM = 23

@@ -29,8 +29,8 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.push import push_heights
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.runner import run_steps
-from spinestiff.study.spines import CURVES
-from spinestiff.study.synthetic import Recipe, SyntheticPush, misread, subject_torso, synthesise
+from spinestiff.study.synthetic.spines import CURVES
+from spinestiff.study.synthetic.subject import Recipe, SyntheticPush, misread, subject_torso, synthesise
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import load_pushes, load_start, open_visit
 from spinestiff.subject.records import DISTANCES_MM, SUBJECT_FILE

@@ -2,8 +2,8 @@
 
 The truth is a body of 10 to 16 years with its own kyphosis, lordosis, length of spine and sizes of vertebrae, a curve
 of 10 to 80 degrees, and a tissue mesh of its own points: about as many as the estimator's coarse mesh, or more. Belt
-and shoulder's pad are springs (``study.elastic_supports``). What the estimator is not told is drawn with the standard
-deviations of ``estimation.priors.Priors``: force, offset, direction, height and depth of each push, breath and what
+and shoulder's pad are springs (``study.synthetic.elastic_supports``). What the estimator is not told is drawn with the
+standard deviations of ``estimation.priors.Priors``: force, offset, direction, height and depth of each push, breath and what
 belt and pad do in each frame by themselves, where the patient stood and swayed, how far the source was. The template is
 that of the body's age, sex and height, but of another mass, so that the trunk is of another size. Ribs turn on their
 vertebrae, and tissue resists a change of volume, as the priors have it, too. Every seventh subject each has discs that
@@ -64,8 +64,13 @@ from spinestiff.mechanics.push import raised_level
 from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.shape import personalise
-from spinestiff.study.elastic_supports import SyntheticSupports, drawn_supports, elastic_supports, support_stiffness
-from spinestiff.study.spines import CURVES, curved_spine
+from spinestiff.study.synthetic.elastic_supports import (
+    SyntheticSupports,
+    drawn_supports,
+    elastic_supports,
+    support_stiffness,
+)
+from spinestiff.study.synthetic.spines import CURVES, curved_spine
 from spinestiff.study.trials import PushSet, push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role

@@ -89,7 +89,7 @@ from spinestiff.mechanics.tissue import element_energies
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.shape import personalise
 from spinestiff.personalise.sizes import resized
-from spinestiff.study.spines import CURVES, curved_spine, rest_vertebrae
+from spinestiff.study.synthetic.spines import CURVES, curved_spine, rest_vertebrae
 
 ROOT = Path(__file__).parent.parent
 

@@ -27,7 +27,7 @@ from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.discrepancy import SKIN_LENGTH_MM, SKIN_SD, motion_size
 from spinestiff.personalise.skin_surface import nearest_points, skin_surface
-from spinestiff.study.synthetic_markers import spread_markers
+from spinestiff.study.synthetic.markers import spread_markers
 
 RESULTS = Path(__file__).parent / "results" / "discrepancy_skin.json"
 NAMES = ("to the left", "upwards", "to the front")

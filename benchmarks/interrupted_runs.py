@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 
 from spinestiff.imaging.synthetic.acquisition import Acquisition
-from spinestiff.study.recipe import Recipe
-from spinestiff.study.synthetic import synthesise
+from spinestiff.study.synthetic.recipe import Recipe
+from spinestiff.study.synthetic.subject import synthesise
 
 RESULTS = Path(__file__).parent / "results"
 PROGRAM = [sys.executable, "-c", "from spinestiff.app.start import main; main()"]

@@ -46,8 +46,8 @@ from spinestiff.personalise.pose import posed
 from spinestiff.personalise.shape import Personalised, personalise
 from spinestiff.personalise.sizes import resized
 from spinestiff.study.fits import fit_pushes
-from spinestiff.study.spines import CURVES, curved_spine
-from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE
+from spinestiff.study.synthetic.spines import CURVES, curved_spine
+from spinestiff.study.synthetic.subject import BENDING_RANGE, TISSUE_RANGE
 from spinestiff.study.trials import PushSet, push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role

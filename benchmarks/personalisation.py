@@ -4,12 +4,12 @@
 [--subjects N] [--log FILE] [--scenario NAME ...]``; a line a fit goes to the log, and a run that was stopped goes on
 from it.
 
-The truth is made without the fit. Poses: every complete spine of the table (``study.spines.real_spine``: places and
-tangents by local parabolas and lines through the body points, since single points lie on a grid of 1 to 3 mm; axial
+The truth is made without the fit. Poses: every complete spine of the table (``study.synthetic.spines.real_spine``: places
+and tangents by local parabolas and lines through the body points, since single points lie on a grid of 1 to 3 mm; axial
 rotation from the pedicle points by a median of five levels, smoothed alike, and interpolated where a level has none),
 scaled to a body of 139 to 180 cm whose spine is up to 7 % longer or shorter than the template's at that height, and
-curves of 10 to 45 degrees (``study.spines.curved_spine``) on a body with another kyphosis. Vertebrae: boxes with their
-own width, height and depth each, endplates that differ in size as published, and bodies wedged front to back.
+curves of 10 to 45 degrees (``study.synthetic.spines.curved_spine``) on a body with another kyphosis. Vertebrae: boxes with
+their own width, height and depth each, endplates that differ in size as published, and bodies wedged front to back.
 Pedicles: where the table has them in the vertebra's own frame. Both views are of a full-length detector; a search
 over each endplate's rim finds how deep the silhouette's corner lies. The fit sees noisy corners, views and body height,
 nothing else.
@@ -65,7 +65,7 @@ from spinestiff.imaging.features import VertebraCorners, silhouette_shares, stat
 from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.personalise.shape import personalise
-from spinestiff.study.spines import (
+from spinestiff.study.synthetic.spines import (
     AXIAL_COUPLING,
     CURVES,
     body_heights,

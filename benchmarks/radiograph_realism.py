@@ -36,7 +36,7 @@ from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.synthetic.acquisition import DEFAULT_ACQUISITION, Acquisition, acquire
 from spinestiff.personalise.placing import place_vertebrae
-from spinestiff.study.spines import curved_spine
+from spinestiff.study.synthetic.spines import curved_spine
 
 RESULT = Path(__file__).parent / "results" / "radiograph_realism.json"
 SYNTHETIC = ((12.0, "thoracic", 1), (30.0, "thoracic", 2), (40.0, "double", 3), (25.0, "lumbar", 4))

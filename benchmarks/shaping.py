@@ -4,8 +4,8 @@
 goes to the log, and a run that was stopped goes on from it.
 
 Spines are those that ``benchmarks/personalisation.py`` takes, at its body heights (139 to 180 cm). Curves are all kinds
-of ``study.spines.CURVES`` at ``CURVED``. Each torso is made by ``personalise.placing.place_vertebrae`` from the coarse
-and the fine template and from the synthetic subjects' own. Told of each: whether the tissue mesh was kept or built anew
+of ``study.synthetic.spines.CURVES`` at ``CURVED``. Each torso is made by ``personalise.placing.place_vertebrae`` from the
+coarse and the fine template and from the synthetic subjects' own. Told of each: whether the tissue mesh was kept or built anew
 and why, its quality, how far the vertebrae are from where they were wanted, and CPU seconds.
 """
 
@@ -30,7 +30,7 @@ from spinestiff.anatomy.template import MESHES, OWN_MESH, template_torso
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.quality import SMALLEST_DIHEDRAL_DEG, SMALLEST_J, mesh_quality
-from spinestiff.study.spines import CURVES, curved_spine, real_spine
+from spinestiff.study.synthetic.spines import CURVES, curved_spine, real_spine
 
 # Cobb angle and body height of each kind of curve.
 CURVED = ((80.0, 140.0), (-80.0, 175.0))

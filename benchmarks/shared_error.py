@@ -29,9 +29,9 @@ from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
 from spinestiff.files import read_json
 from spinestiff.study.fits import fit_pushes
-from spinestiff.study.recipe import Recipe
 from spinestiff.study.runner import run_steps
-from spinestiff.study.synthetic import subject_torso, truth_path
+from spinestiff.study.synthetic.recipe import Recipe
+from spinestiff.study.synthetic.subject import subject_torso, truth_path
 from spinestiff.study.trials import known_of, push_set, rig_of
 from spinestiff.study.visit import USUAL, open_visit
 from spinestiff.subject.geometry_outcome import GeometryRecord

@@ -25,8 +25,8 @@ from spinestiff.files import read_json, write_json
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.imaging.shown_view import shown_view
 from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition, acquire
-from spinestiff.study.recipe import Recipe
-from spinestiff.study.synthetic import subject_torso
+from spinestiff.study.synthetic.recipe import Recipe
+from spinestiff.study.synthetic.subject import subject_torso
 
 RESULTS = Path(__file__).parent / "results" / "shown_view.json"
 DETECTOR_MM = 427.0

@@ -31,10 +31,10 @@ import numpy as np
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.files import read_json
-from spinestiff.study.recipe import Recipe
 from spinestiff.study.runner import run_steps
-from spinestiff.study.spines import real_spine
-from spinestiff.study.synthetic import made_by, synthesise, truth_path
+from spinestiff.study.synthetic.recipe import Recipe
+from spinestiff.study.synthetic.spines import real_spine
+from spinestiff.study.synthetic.subject import made_by, synthesise, truth_path
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Estimate

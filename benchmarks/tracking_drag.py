@@ -31,10 +31,10 @@ from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.priors import Priors
 from spinestiff.files import read_json
 from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
-from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.runner import run_steps
-from spinestiff.study.spines import CURVES
-from spinestiff.study.synthetic import made_by, synthesise, truth_path
+from spinestiff.study.synthetic.recipe import Recipe, SyntheticPush
+from spinestiff.study.synthetic.spines import CURVES
+from spinestiff.study.synthetic.subject import made_by, synthesise, truth_path
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import read_outcome

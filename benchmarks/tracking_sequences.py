@@ -37,7 +37,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.placing import place_vertebrae
-from spinestiff.study.spines import curved_spine
+from spinestiff.study.synthetic.spines import curved_spine
 
 FRAME_TIME_S = 0.25
 DETECTOR_PIXEL_MM = 0.417

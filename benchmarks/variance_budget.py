@@ -41,7 +41,7 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.planning.scene import POPULATION
-from spinestiff.study.spines import curved_spine
+from spinestiff.study.synthetic.spines import curved_spine
 
 RESULT = Path(__file__).parent / "results" / "variance_budget.json"
 NAMES = ("lateral_bending", "tissue")

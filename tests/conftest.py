@@ -91,7 +91,7 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(scope="session")
 def cheap_recipe():
     from spinestiff.imaging.synthetic.acquisition import Acquisition
-    from spinestiff.study.recipe import Recipe, SyntheticPush
+    from spinestiff.study.synthetic.recipe import Recipe, SyntheticPush
 
     main = SyntheticPush("main", 8.0, (0.0, 0.5, 0.75, 1.0), ("unused", "training", "training", "validation"))
     second = SyntheticPush("second", 6.0, (0.0, 1.0), ("unused", "validation"))
@@ -109,7 +109,7 @@ def cheap_recipe():
 @pytest.fixture(scope="session")
 def radiographed(tmp_path_factory, cheap_recipe):
     """The subject's folder before any step, its truth beside it; shared by all tests, so only to be read."""
-    from spinestiff.study.synthetic import synthesise
+    from spinestiff.study.synthetic.subject import synthesise
 
     def make(folder):
         synthesise(folder / "girl", cheap_recipe)
@@ -127,7 +127,7 @@ def finished(tmp_path_factory, radiographed):
 def finish(folder, radiographed):
     """A copy of a subject folder taken through all steps: the fields of ``Finished``."""
     from spinestiff.study import runner, steps
-    from spinestiff.study.synthetic import truth_path
+    from spinestiff.study.synthetic.subject import truth_path
     from spinestiff.study.visit import Settings, open_visit
 
     fits, lines, truth = [], [], truth_path(folder)

@@ -21,7 +21,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.placing import place_vertebrae
-from spinestiff.study.spines import curved_spine
+from spinestiff.study.synthetic.spines import curved_spine
 
 BLADES = Collimation(top=45.0, bottom=20.0, left=25.0, right=5.0)
 HEIGHT = 700

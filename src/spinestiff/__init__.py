@@ -70,12 +70,12 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.mechanics.terms import PointSprings as PointSprings
     from spinestiff.personalise.shape import personalise as personalise_torso  # noqa: F401 (typed as the others)
     from spinestiff.study.assessment import assess as assess
-    from spinestiff.study.elastic_supports import SyntheticSupports as SyntheticSupports
-    from spinestiff.study.recipe import Recipe as Recipe
-    from spinestiff.study.recipe import SyntheticPush as SyntheticPush
     from spinestiff.study.runner import run_steps as run_steps
     from spinestiff.study.steps import stored_predictions as stored_predictions
-    from spinestiff.study.synthetic import synthesise as synthesise
+    from spinestiff.study.synthetic.elastic_supports import SyntheticSupports as SyntheticSupports
+    from spinestiff.study.synthetic.recipe import Recipe as Recipe
+    from spinestiff.study.synthetic.recipe import SyntheticPush as SyntheticPush
+    from spinestiff.study.synthetic.subject import synthesise as synthesise
     from spinestiff.study.visit import Settings as Settings
     from spinestiff.study.visit import open_visit as open_visit
     from spinestiff.subject.assessment_outcome import Assessment as Assessment
@@ -132,9 +132,9 @@ _MODULES = {
     "subject.geometry_outcome": ("GeometryRecord",),
     "subject.estimate_outcome": ("Estimate",),
     "subject.assessment_outcome": ("Assessment",),
-    "study.elastic_supports": ("SyntheticSupports",),
-    "study.recipe": ("Recipe", "SyntheticPush"),
-    "study.synthetic": ("synthesise",),
+    "study.synthetic.elastic_supports": ("SyntheticSupports",),
+    "study.synthetic.recipe": ("Recipe", "SyntheticPush"),
+    "study.synthetic.subject": ("synthesise",),
     "errors": ("SpinestiffError", "OutsideWarning"),
 }
 _HOMES = {name: f"spinestiff.{module}" for module, names in _MODULES.items() for name in names}

@@ -506,8 +506,8 @@ def test_check(spinestiff, monkeypatch, passed, status):
 
 
 def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch):
-    from spinestiff.study import synthetic
-    from spinestiff.study.recipe import PLANNED_PUSHES, Recipe
+    from spinestiff.study.synthetic import subject as synthetic
+    from spinestiff.study.synthetic.recipe import PLANNED_PUSHES, Recipe
 
     asked = []
 

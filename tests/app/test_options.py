@@ -21,9 +21,9 @@ from spinestiff.estimation.fitted import METHODS
 from spinestiff.estimation.ratio_priors import POPULATIONS
 from spinestiff.imaging.features import ORIENTATIONS
 from spinestiff.study.planning.wish import SIDES, VIEWS
-from spinestiff.study.recipe import ACQUISITIONS
 from spinestiff.study.report.pdf import PAPERS
-from spinestiff.study.spines import CURVES
+from spinestiff.study.synthetic.recipe import ACQUISITIONS
+from spinestiff.study.synthetic.spines import CURVES
 from spinestiff.study.visit import NOBODY
 
 ANNOTATED = Annotated[int, 0].__class__

@@ -17,7 +17,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study.seven.participants import seven
 from spinestiff.study.seven.subject import known_outcome, result_file, settings_digest, stored_outcome
-from spinestiff.study.synthetic import truth_path
+from spinestiff.study.synthetic.subject import truth_path
 from spinestiff.study.visit import Settings
 from spinestiff.study.wording.numbers import listed
 from spinestiff.subject.lock import sole_run

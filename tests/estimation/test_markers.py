@@ -25,7 +25,7 @@ from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.synthetic_markers import spread_markers
+from spinestiff.study.synthetic.markers import spread_markers
 
 LATERAL = lateral_view(centre=(0, 150, 0))
 TRUTH = {"lateral_bending": 0.3, "tissue": 0.4}

@@ -12,7 +12,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.skin_surface import nearest_points, skin_surface
-from spinestiff.study.synthetic_markers import spread_markers
+from spinestiff.study.synthetic.markers import spread_markers
 
 VIEW = frontal_view()
 SHIFT = np.array([400.0, -900.0, 250.0])

@@ -22,7 +22,7 @@ from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.quality import mesh_quality
 from spinestiff.personalise.rebuild import can_rebuild, node_spacing, skin_of, with_new_tissue, without_tissue
 from spinestiff.personalise.shape import personalise
-from spinestiff.study.spines import curved_spine, rest_vertebrae
+from spinestiff.study.synthetic.spines import curved_spine, rest_vertebrae
 
 VIEWS = {"frontal": frontal_view(), "lateral": lateral_view()}
 # A curve of 40 degrees in a waist that is broad and flat: tissue between the lower ribs and the skin turns over.

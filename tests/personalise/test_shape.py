@@ -25,7 +25,7 @@ from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.quality import SMALLEST_DIHEDRAL_DEG, mesh_quality
 from spinestiff.personalise.shape import personalise
 from spinestiff.personalise.sizes import resized
-from spinestiff.study.spines import curved_spine, rest_vertebrae
+from spinestiff.study.synthetic.spines import curved_spine, rest_vertebrae
 
 MOVED = {"frontal": ((5.0, -3.0), 0.008), "lateral": ((-4.0, 2.0), -0.006)}
 HIDDEN = {"frontal": ("T1", "T2"), "lateral": ("T1", "T3", "L5")}

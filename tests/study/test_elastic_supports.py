@@ -1,4 +1,4 @@
-"""spinestiff.study.elastic_supports: a belt and a shoulder's pad that give what is asked."""
+"""spinestiff.study.synthetic.elastic_supports: a belt and a shoulder's pad that give what is asked."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.places import place_of_pelvis
 from spinestiff.mechanics.supports import SPRING_STIFFNESS, SupportKind, three_point_supports
-from spinestiff.study.elastic_supports import (
+from spinestiff.study.synthetic.elastic_supports import (
     LARGEST_OBLIQUITY_DEG,
     LARGEST_SHOULDER_MM,
     SupportStiffness,

@@ -25,7 +25,7 @@ from spinestiff.study.fits import fit_pushes
 from spinestiff.study.judgement import failed, judge, outlying_notes
 from spinestiff.study.judgement.limits import LIMITS
 from spinestiff.study.judgement.rest_shape import RestShape
-from spinestiff.study.spines import curved_spine
+from spinestiff.study.synthetic.spines import curved_spine
 from spinestiff.study.trials import push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord

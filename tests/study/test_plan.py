@@ -28,7 +28,7 @@ from spinestiff.study.planning.scene import PLACES, Scene, places_of_draws, popu
 from spinestiff.study.planning.wish import Frame, Wish
 from spinestiff.study.report.protocol import protocol_page
 from spinestiff.study.runner import run_steps
-from spinestiff.study.synthetic_markers import spread_markers
+from spinestiff.study.synthetic.markers import spread_markers
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.study.wording.plan import now_of, pays, plan_lines, size_of
 from spinestiff.subject.estimate_outcome import Estimate

@@ -16,7 +16,14 @@ from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.personalise.placing import place_vertebrae
-from spinestiff.study.spines import CURVES, SECONDARY, curved_spine, real_spine, rest_vertebrae, torso_from_lps
+from spinestiff.study.synthetic.spines import (
+    CURVES,
+    SECONDARY,
+    curved_spine,
+    real_spine,
+    rest_vertebrae,
+    torso_from_lps,
+)
 
 COLUMNS = ("id", "level", "keypoint", "x_mm", "y_mm", "z_mm")
 MEASURED = Path(__file__).parents[3] / "shared" / "data" / "ct_spines" / "spines.csv"

@@ -13,7 +13,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.joints import joint_pose
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.stiffening import Stiffening, disc_bending, solved_with
+from spinestiff.study.synthetic.stiffening import Stiffening, disc_bending, solved_with
 
 LAW = Stiffening(0.4, 2.0)
 

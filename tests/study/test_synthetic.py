@@ -24,13 +24,20 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import align_view
-from spinestiff.study import synthetic
-from spinestiff.study.elastic_supports import SupportStiffness, SyntheticSupports
-from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.side_views import followed_view, marked_pedicles, side_views
-from spinestiff.study.stiffening import Stiffening
-from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE, made_by, subject_torso, synthesise, truth_path
-from spinestiff.study.synthetic_markers import spread_markers
+from spinestiff.study.synthetic import subject as synthetic
+from spinestiff.study.synthetic.elastic_supports import SupportStiffness, SyntheticSupports
+from spinestiff.study.synthetic.markers import spread_markers
+from spinestiff.study.synthetic.recipe import Recipe, SyntheticPush
+from spinestiff.study.synthetic.stiffening import Stiffening
+from spinestiff.study.synthetic.subject import (
+    BENDING_RANGE,
+    TISSUE_RANGE,
+    made_by,
+    subject_torso,
+    synthesise,
+    truth_path,
+)
 from spinestiff.subject.annotation_record import ImageAnnotation
 from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject, read_view
 from spinestiff.subject.marker_table import read_markers

@@ -28,7 +28,7 @@ from spinestiff.mechanics.push import Rig, push_heights, push_problem
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import posed
 from spinestiff.study.fits import fit_pushes
-from spinestiff.study.synthetic_markers import spread_markers
+from spinestiff.study.synthetic.markers import spread_markers
 from spinestiff.study.trials import known_of, push_set, rig_of, seen_beside
 from spinestiff.subject.outcome_parts import ViewRecord
 from spinestiff.subject.outcomes import MarkedPedicles, MarkerTracks, Measured, SidePicture, SideView, TrackedPush

@@ -19,7 +19,7 @@ from chromium import Tab, browser
 from hospital import CANARY, export, headed
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.files import read_json
-from spinestiff.study.synthetic import truth_path
+from spinestiff.study.synthetic.subject import truth_path
 from spinestiff.subject.folder import read_annotation
 
 pytestmark = pytest.mark.skipif(

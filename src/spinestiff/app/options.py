@@ -194,14 +194,14 @@ def marker_limits() -> tuple[float, float]:
 
 def cobb_limits() -> tuple[float, float]:
     """Degrees, of a synthetic curve."""
-    from spinestiff.study.spines import LARGEST_COBB_DEG
+    from spinestiff.study.synthetic.spines import LARGEST_COBB_DEG
 
     return -LARGEST_COBB_DEG, LARGEST_COBB_DEG
 
 
 def force_limits() -> tuple[float, float]:
     """N, of a synthetic push."""
-    from spinestiff.study.recipe import LARGEST_FORCE_N
+    from spinestiff.study.synthetic.recipe import LARGEST_FORCE_N
 
     return 0.0, LARGEST_FORCE_N
 

@@ -16,7 +16,7 @@ from spinestiff.imaging.features import VertebraCorners, silhouette_shares, stat
 from spinestiff.imaging.pedicles import PediclePoints, pedicle_centres
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.study.predictions import Predictions, Solved, predictions_of
-from spinestiff.study.synthetic_markers import spread_markers
+from spinestiff.study.synthetic.markers import spread_markers
 from spinestiff.study.trials import push_set
 from spinestiff.subject.records import PushRecord
 

@@ -10,7 +10,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
 from spinestiff.study.runner import ALL_STEPS
 from spinestiff.study.seven.geometry_error import GeometryError, moved_spine, size_of_error, smooth_errors, steps_with
-from spinestiff.study.spines import rest_vertebrae
+from spinestiff.study.synthetic.spines import rest_vertebrae
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from spinestiff.study.seven.participants import (
     others,
     seven,
 )
-from spinestiff.study.stiffening import LOW, THETA_DEG
+from spinestiff.study.synthetic.stiffening import LOW, THETA_DEG
 
 
 def test_the_seven_are_the_papers_with_the_stiffness_that_its_ratios_mean_here():

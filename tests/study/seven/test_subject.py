@@ -11,7 +11,7 @@ from spinestiff.files import write_json
 from spinestiff.study.seven import subject
 from spinestiff.study.seven.participants import seven
 from spinestiff.study.seven.subject import _make, force_changes
-from spinestiff.study.synthetic import truth_path
+from spinestiff.study.synthetic.subject import truth_path
 
 
 def test_a_subject_that_is_there_is_not_told_as_made(tmp_path):

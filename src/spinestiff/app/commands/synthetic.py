@@ -57,7 +57,7 @@ def synth(
 ) -> None:
     """Make a synthetic subject of known stiffness: DICOM radiographs, force log, annotation."""
     from spinestiff.app.progress import progress
-    from spinestiff.study.synthetic import synthesise
+    from spinestiff.study.synthetic.subject import synthesise
 
     recipe = recipe_of(seed, height, cobb, curve, force, ratios, spine, spine_id, acquisition)
     recipe = replace(recipe, age=age, sex=sex, nodes=nodes, biplanar=biplanar, markers=markers or 0)
@@ -81,7 +81,7 @@ def demo(
     """A synthetic subject from radiographs to report, compared with its truth."""
     from spinestiff.app.progress import progress
     from spinestiff.study.runner import STEPS
-    from spinestiff.study.synthetic import made_by, synthesise, truth_path
+    from spinestiff.study.synthetic.subject import made_by, synthesise, truth_path
 
     recipe = recipe_of(seed, height, cobb, curve, force, ratios, spine, spine_id, acquisition)
     if not made_by(out, recipe):
@@ -102,7 +102,7 @@ def recipe_of(
     acquisition: str,
 ) -> Any:
     """The synthetic subject that the options ask for. Raises SubjectError."""
-    from spinestiff.study.recipe import ACQUISITIONS, Recipe
+    from spinestiff.study.synthetic.recipe import ACQUISITIONS, Recipe
 
     if (spine is None) != (spine_id is None):
         raise SubjectError("--spine and --spine-id belong together; give both or none")

@@ -14,8 +14,8 @@ import numpy as np
 
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA
 from spinestiff.study.paper import CURVES, SUBJECTS, PaperSubject, Sex
-from spinestiff.study.recipe import Recipe, SyntheticPush
-from spinestiff.study.stiffening import LOW, THETA_DEG, Stiffening
+from spinestiff.study.synthetic.recipe import Recipe, SyntheticPush
+from spinestiff.study.synthetic.stiffening import LOW, THETA_DEG, Stiffening
 from spinestiff.subject.records import Role
 
 CALIBRATED_MPA = 0.2045

@@ -31,15 +31,15 @@ from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study.assessment import extrapolated
 from spinestiff.study.parameters import default_gradients
 from spinestiff.study.predictions import REST, Prediction, Predictions
-from spinestiff.study.recipe import Recipe
 from spinestiff.study.refits import basis_of
 from spinestiff.study.runner import run_steps
 from spinestiff.study.sensitivity import FORCE, SIGNS, with_force
 from spinestiff.study.seven.geometry_error import GeometryError, steps_with
 from spinestiff.study.seven.participants import HELD_OUT, LEAST_FORCE_N, MAIN, MOST_TILT_DEG, TABLES_MESH, Participant
-from spinestiff.study.spines import curved_spine
 from spinestiff.study.steps import stored_predictions
-from spinestiff.study.synthetic import made_by, synthesise, truth_path
+from spinestiff.study.synthetic.recipe import Recipe
+from spinestiff.study.synthetic.spines import curved_spine
+from spinestiff.study.synthetic.subject import made_by, synthesise, truth_path
 from spinestiff.study.visit import Settings, Visit, open_visit, pushes_on
 from spinestiff.subject.assessment_outcome import Assessment, Comparison, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate

@@ -15,8 +15,8 @@ from spinestiff.errors import SubjectError
 from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition
 from spinestiff.imaging.synthetic.detector import Exposure
 from spinestiff.personalise.rebuild import NODES
-from spinestiff.study.elastic_supports import SyntheticSupports
-from spinestiff.study.stiffening import Stiffening
+from spinestiff.study.synthetic.elastic_supports import SyntheticSupports
+from spinestiff.study.synthetic.stiffening import Stiffening
 from spinestiff.subject.marker_table import FEWEST, MOST
 from spinestiff.subject.records import Role
 

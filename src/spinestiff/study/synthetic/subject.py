@@ -46,7 +46,8 @@ from spinestiff.parallel import in_parallel
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.prior import OWN_PEDICLE_SD, PERSON_PEDICLE_SD
 from spinestiff.personalise.quality import mesh_quality
-from spinestiff.study.elastic_supports import (
+from spinestiff.study.subject_body import template_body
+from spinestiff.study.synthetic.elastic_supports import (
     SupportStiffness,
     SyntheticSupports,
     drawn_supports,
@@ -54,11 +55,10 @@ from spinestiff.study.elastic_supports import (
     shoulder_shift,
     support_stiffness,
 )
-from spinestiff.study.recipe import Recipe, SyntheticPush
-from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
-from spinestiff.study.stiffening import disc_bending, solved_with
-from spinestiff.study.subject_body import template_body
-from spinestiff.study.synthetic_markers import spread_markers, view_of_markers
+from spinestiff.study.synthetic.markers import spread_markers, view_of_markers
+from spinestiff.study.synthetic.recipe import Recipe, SyntheticPush
+from spinestiff.study.synthetic.spines import VertebraPoses, curved_spine, real_spine
+from spinestiff.study.synthetic.stiffening import disc_bending, solved_with
 from spinestiff.subject.annotation_record import FEWEST_OF_VIEW, FEWEST_VERTEBRAE, Annotation, ImageAnnotation
 from spinestiff.subject.folder import write_annotation, write_subject
 from spinestiff.subject.marker_table import write_markers
