@@ -2,10 +2,10 @@
 
 The template's seventeen vertebrae stand straight, or in a curve of 20 or 40 degrees of each of four kinds
 (``study.synthetic.spines.curved_spine``), seen exactly from the front and without magnification. Each corner gets
-Gaussian noise of the default standard deviation, 2 % of the median width, in both coordinates, ``--draws`` times, seeded. Counted of
-what ``read_cobb`` makes of the draws, by both definitions: mean and 95th percentile of the largest angle beside what is
-read without noise, how often the end vertebrae are those, and half the 95 % interval that is stated.
-``docs/cobb.md`` quotes it.
+Gaussian noise of the default standard deviation, 2 % of the median width, in both coordinates, ``--draws`` times,
+seeded. Counted of what ``read_cobb`` makes of the draws, by both definitions: mean and 95th percentile of the largest
+angle beside what is read without noise, how often the end vertebrae are those, and half the 95 % interval that is
+stated. ``docs/cobb.md`` quotes it.
 
     python benchmarks/cobb_noise.py [--draws 600] [--seed 0] [--write]
     python benchmarks/cobb_noise.py --json

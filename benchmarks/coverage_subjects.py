@@ -3,13 +3,13 @@
 The truth is a body of 10 to 16 years with its own kyphosis, lordosis, length of spine and sizes of vertebrae, a curve
 of 10 to 80 degrees, and a tissue mesh of its own points: about as many as the estimator's coarse mesh, or more. Belt
 and shoulder's pad are springs (``study.synthetic.elastic_supports``). What the estimator is not told is drawn with the
-standard deviations of ``estimation.priors.Priors``: force, offset, direction, height and depth of each push, breath and what
-belt and pad do in each frame by themselves, where the patient stood and swayed, how far the source was. The template is
-that of the body's age, sex and height, but of another mass, so that the trunk is of another size. Ribs turn on their
-vertebrae, and tissue resists a change of volume, as the priors have it, too. Every seventh subject each has discs that
-turn farther behind, discs with a neutral zone, or layered tissue, as ``discrepancy_pairs`` has them, with their true
-ratios as there; the mesh, the geometry and the body's proportions, the other four kinds that an estimate expects,
-differ in all. Corners are annotated and tracked as ``judgement_subjects`` has it.
+standard deviations of ``estimation.priors.Priors``: force, offset, direction, height and depth of each push, breath and
+what belt and pad do in each frame by themselves, where the patient stood and swayed, how far the source was. The
+template is that of the body's age, sex and height, but of another mass, so that the trunk is of another size. Ribs turn
+on their vertebrae, and tissue resists a change of volume, as the priors have it, too. Every seventh subject each has
+discs that turn farther behind, discs with a neutral zone, or layered tissue, as ``discrepancy_pairs`` has them, with
+their true ratios as there; the mesh, the geometry and the body's proportions, the other four kinds that an estimate
+expects, differ in all. Corners are annotated and tracked as ``judgement_subjects`` has it.
 """
 
 from __future__ import annotations

@@ -4,19 +4,19 @@
 [--subjects N] [--log FILE] [--scenario NAME ...]``; a line a fit goes to the log, and a run that was stopped goes on
 from it.
 
-The truth is made without the fit. Poses: every complete spine of the table (``study.synthetic.spines.real_spine``: places
-and tangents by local parabolas and lines through the body points, since single points lie on a grid of 1 to 3 mm; axial
-rotation from the pedicle points by a median of five levels, smoothed alike, and interpolated where a level has none),
-scaled to a body of 139 to 180 cm whose spine is up to 7 % longer or shorter than the template's at that height, and
-curves of 10 to 45 degrees (``study.synthetic.spines.curved_spine``) on a body with another kyphosis. Vertebrae: boxes with
-their own width, height and depth each, endplates that differ in size as published, and bodies wedged front to back.
-Pedicles: where the table has them in the vertebra's own frame. Both views are of a full-length detector; a search
-over each endplate's rim finds how deep the silhouette's corner lies. The fit sees noisy corners, views and body height,
-nothing else.
-A spine with a point missing or far off the others' line, with bodies that overlap or with a gap as tall as a body is
-skipped and named, as ``spinestiff synth --spine-id`` refuses it. ``known`` takes every subject, the other scenarios
-every ninth (``EVERY``; ``--all``: every one). Synthetic curves are no spines: they are summed up by themselves, in
-``curves``.
+The truth is made without the fit. Poses: every complete spine of the table (``study.synthetic.spines.real_spine``:
+places and tangents by local parabolas and lines through the body points, since single points lie on a grid of 1 to 3
+mm; axial rotation from the pedicle points by a median of five levels, smoothed alike, and interpolated where a level
+has none), scaled to a body of 139 to 180 cm whose spine is up to 7 % longer or shorter than the template's at that
+height, and curves of 10 to 45 degrees (``study.synthetic.spines.curved_spine``) on a body with another kyphosis.
+Vertebrae: boxes with their own width, height and depth each, endplates that differ in size as published, and bodies
+wedged front to back. Pedicles: where the table has them in the vertebra's own frame. Both views are of a full-length
+detector; a search over each endplate's rim finds how deep the silhouette's corner lies. The fit sees noisy corners,
+views and body height, nothing else.
+A spine with a point missing or far off the others' line, with bodies that overlap
+or with a gap as tall as a body is skipped and named, as ``spinestiff synth --spine-id`` refuses it. ``known`` takes
+every subject, the other scenarios every ninth (``EVERY``; ``--all``: every one). Synthetic curves are no spines: they
+are summed up by themselves, in ``curves``.
 
 Scenarios:
 

@@ -4,9 +4,9 @@
 goes to the log, and a run that was stopped goes on from it.
 
 Spines are those that ``benchmarks/personalisation.py`` takes, at its body heights (139 to 180 cm). Curves are all kinds
-of ``study.synthetic.spines.CURVES`` at ``CURVED``. Each torso is made by ``personalise.placing.place_vertebrae`` from the
-coarse and the fine template and from the synthetic subjects' own. Told of each: whether the tissue mesh was kept or built anew
-and why, its quality, how far the vertebrae are from where they were wanted, and CPU seconds.
+of ``study.synthetic.spines.CURVES`` at ``CURVED``. Each torso is made by ``personalise.placing.place_vertebrae`` from
+the coarse and the fine template and from the synthetic subjects' own. Told of each: whether the tissue mesh was kept or
+built anew and why, its quality, how far the vertebrae are from where they were wanted, and CPU seconds.
 """
 
 from __future__ import annotations
