@@ -1,7 +1,7 @@
 """Subjects of known stiffness for ``coverage.py``, through rendered radiographs, the tracker and every step of a run.
 
-A body between 138 and 174 cm on a mesh of its own, a procedural curve and elastic supports, as ``spinestiff synth``
-makes them, under three pushes as in ``coverage_subjects``; ratios, forces and levels are drawn as there. Radiographs
+A body of 10 to 16 years on a mesh of its own, a procedural curve and elastic supports, as ``spinestiff synth`` makes
+them, under three pushes as in ``coverage_subjects``; ratios, forces and levels are drawn as there. Radiographs
 are rendered with noise, scatter and motion blur, and the folder goes through the steps ``track`` and ``personalise``.
 The gauge is told with the errors of ``estimation.priors.Priors``, and so are the rib levels. Discs, ribs and tissue
 are those of the model: what they may be else is a matter of ``coverage_subjects``.
@@ -9,13 +9,13 @@ are those of the model: what they may be else is a matter of ``coverage_subjects
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from coverage_subjects import BENDING, COBB_DEG, FORCE_N, LEAST_FORCE_N, MOST_TILT, PUSHES, TISSUE
+from judgement_subjects import AGES, drawn_height
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import stiffness_ratios
@@ -30,12 +30,11 @@ from spinestiff.mechanics.push import push_heights
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.runner import run_steps
 from spinestiff.study.synthetic.spines import CURVES
-from spinestiff.study.synthetic.subject import Recipe, SyntheticPush, misread, subject_torso, synthesise
+from spinestiff.study.synthetic.subject import Recipe, SyntheticPush, subject_torso, synthesise
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import load_pushes, load_start, open_visit
-from spinestiff.subject.records import DISTANCES_MM, SUBJECT_FILE
+from spinestiff.subject.records import DISTANCES_MM
 
-HEIGHT_CM = (138.0, 174.0)
 LEVEL_STEP = 0.1
 # Of the push that a subject can bear; the supports that give add some degrees to the level pelvis' tilt.
 SUPPORTS_TILT = np.deg2rad(5.0)
@@ -69,19 +68,23 @@ def rendered_subject(seed: int, nodes: int, folder: Path) -> Rendered:
         )
         for name, push in PUSHES["three pushes"].items()
     )
+    sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
+    age = float(random.uniform(*AGES))
     recipe = Recipe(
         seed=seed,
-        height_cm=round(float(random.uniform(*HEIGHT_CM)), 0),
+        age=round(age, 1),
+        sex=sex,
+        height_cm=round(drawn_height(random, age, sex), 0),
         cobb_deg=round(float(random.uniform(*COBB_DEG)) * float(random.choice([-1.0, 1.0])), 1),
         curve=str(random.choice(list(CURVES))),
         force_n=round(float(random.uniform(*FORCE_N)), 1),
         ratios=(bending, tissue),
         pushes=pushes,
         nodes=nodes,
+        misread=True,
     )
     recipe, cobb = bearable(recipe)
     synthesise(folder, recipe)
-    _told(folder / SUBJECT_FILE, random)
     visit = open_visit(folder)
     run_steps(visit, ("track", "personalise"))
     seen = load_pushes(visit, "procrustes", "weighed")
@@ -125,11 +128,3 @@ def _below_shoulder(torso: TorsoModel, side: Literal["left", "right"], push: Syn
         if shoulder - rib > DISTANCES_MM[0]:
             return push
         push = replace(push, level=round(push.level + LEVEL_STEP, 1))
-
-
-def _told(path: Path, random: np.random.Generator) -> None:
-    """What is told of each push: forces as a gauge with errors reads them, the level as it is felt."""
-    record = json.loads(path.read_text(encoding="utf-8"))
-    for push in record["pushes"]:
-        push["forces_n"], push["level"] = misread(push["forces_n"], push["level"], random)
-    path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

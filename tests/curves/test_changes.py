@@ -9,7 +9,7 @@ import pytest
 
 from spinestiff.curves.changes import change_between, change_words, forms_in_words, signed_levels, tracked_noise
 from spinestiff.curves.cobb import TRACKED_TURN
-from spinestiff.curves.tilts import tilts
+from spinestiff.curves.tilts import Forms, tilts
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.tracking.quality import quality_of
@@ -128,7 +128,7 @@ def test_words_have_sign_error_and_levels():
     forms = forms_in_words(change)
     assert list(forms) == ["signed", "fixed_levels", "tilt"]
     assert forms["fixed_levels"] == f"−10.0° ± {1.96 * change.sds[1]:.1f}° (T5–T9)"
-    assert "±" not in forms_in_words(replace(change, sds=None))["tilt"]
+    assert "±" not in forms_in_words(replace(change, sds=Forms()))["tilt"]
 
 
 def test_one_vertebra_in_common_is_no_change():

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from spinestiff.curves.changes import forms_in_words
 from spinestiff.curves.cobb import REGIONS, Curve
 from spinestiff.curves.corner_csv import guarded
-from spinestiff.curves.pushes import FORMS, CobbFrame
+from spinestiff.curves.pushes import CobbFrame
+from spinestiff.curves.tilts import Forms
 from spinestiff.normal import HALF_WIDTH_95
 
 COLUMNS = (
@@ -17,7 +18,7 @@ COLUMNS = (
     "region", "convexity", "words",
 )  # fmt: skip
 """``half_width95``: half the width of the angle's 95 % interval. ``words``: as every table and the report say it."""
-CHANGES = tuple(f"{form}_{what}" for form in FORMS for what in ("change", "half_width95", "words"))
+CHANGES = tuple(f"{form}_{what}" for form in Forms._fields for what in ("change", "half_width95", "words"))
 """Of a push's frames: each form of the change from the least force, degrees, left-convex above 0."""
 
 
@@ -49,8 +50,7 @@ def _changes(frame: CobbFrame) -> list[str]:
     change = frame.change
     if change is None:
         return [""] * len(CHANGES)
-    sds = change.sds or (None, None, None)
     cells = []
-    for form, sd, words in zip(FORMS, sds, forms_in_words(change).values()):
+    for form, sd, words in zip(Forms._fields, change.sds, forms_in_words(change).values()):
         cells += [f"{getattr(change, form):.2f}", "" if sd is None else f"{HALF_WIDTH_95 * sd:.2f}", words]
     return cells

@@ -9,7 +9,7 @@ import numpy as np
 
 from spinestiff.arrays import Floats
 from spinestiff.curves.cobb import DEFINITIONS, Definition, check_reading, tilt_sds, tracked_tilt_sds, usual_noise
-from spinestiff.curves.tilts import CobbChange, cobb_change, tilts_from_points
+from spinestiff.curves.tilts import CobbChange, Forms, cobb_change, tilts_from_points
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
@@ -81,7 +81,7 @@ def change_between(
         own = _variance(weights, tracking, shared=pushed is rest)
         marked = _variance(weights, annotation, shared=same_origin)
         sds.append(float(np.degrees(np.sqrt(own + marked))))
-    return replace(change, sds=(sds[0], sds[1], sds[2]))
+    return replace(change, sds=Forms(*sds))
 
 
 def change_words(degrees: float, sd: float | None, levels: str) -> str:
@@ -93,11 +93,11 @@ def change_words(degrees: float, sd: float | None, levels: str) -> str:
 
 def forms_in_words(change: CobbChange) -> dict[str, str]:
     """The three forms of a change by name, each as ``change_words``."""
-    sds = change.sds or (None, None, None)
+    sds = change.sds
     return {
-        "signed": change_words(change.signed, sds[0], signed_levels(change)),
-        "fixed_levels": change_words(change.fixed_levels, sds[1], "–".join(change.levels)),
-        "tilt": change_words(change.tilt, sds[2], "–".join(change.tilt_levels)),
+        "signed": change_words(change.signed, sds.signed, signed_levels(change)),
+        "fixed_levels": change_words(change.fixed_levels, sds.fixed_levels, "–".join(change.levels)),
+        "tilt": change_words(change.tilt, sds.tilt, "–".join(change.tilt_levels)),
     }
 
 

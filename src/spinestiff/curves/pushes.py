@@ -10,7 +10,7 @@ import numpy as np
 from spinestiff.curves.changes import change_between, forms_in_words, tracked_noise
 from spinestiff.curves.cobb import CobbReading, Definition, read_cobb_of_view
 from spinestiff.curves.response import GAUGE, FrameCorners, GaugeError, push_response
-from spinestiff.curves.tilts import CobbChange, tilts
+from spinestiff.curves.tilts import NO_SDS, CobbChange, Forms, tilts
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
@@ -19,9 +19,6 @@ from spinestiff.subject.folder import Subject, image_corners, read_rest
 from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, refuse_changed
-
-FORMS = ("signed", "fixed_levels", "tilt")
-"""Of a change of the Cobb angle, in the order of ``CobbChange.sds``."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,7 @@ class CobbFrame:
         change = None if c is None else {
             "signed": c.signed, "fixed_levels": c.fixed_levels, "tilt": c.tilt,
             "levels": list(c.levels), "tilt_levels": list(c.tilt_levels),
-            "sds": None if c.sds is None else dict(zip(FORMS, c.sds)),
+            "sds": None if c.sds == NO_SDS else c.sds._asdict(),
         }  # fmt: skip
         return {**self.reading.as_dict(), "change_deg": change}
 
@@ -155,8 +152,8 @@ def cobb_rows(frames: Sequence[CobbFrame]) -> list[tuple[str, str, str, str, str
     """Image, Cobb angle, and the three forms of its change from the push's least force."""
     rows = []
     for frame in frames:
-        forms = dict.fromkeys(FORMS, "") if frame.change is None else forms_in_words(frame.change)
-        signed, fixed, tilt = (forms[name] for name in FORMS)
+        forms = dict.fromkeys(Forms._fields, "") if frame.change is None else forms_in_words(frame.change)
+        signed, fixed, tilt = (forms[name] for name in Forms._fields)
         rows.append((frame.reading.image, frame.reading.words(), signed, fixed, tilt))
     return rows
 

@@ -13,7 +13,7 @@ Tilts are in rad; what a clinician reads (Cobb angles) is in degrees and says so
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -93,6 +93,17 @@ class CobbAngle:
         return f"{self.degrees:+.1f} deg ({self.upper}-{self.lower}, convexity {self.convexity})"
 
 
+class Forms(NamedTuple):
+    """A number of each form in which a change of curvature is told (``CobbChange``); None where there is none."""
+
+    signed: float | None = None
+    fixed_levels: float | None = None
+    tilt: float | None = None
+
+
+NO_SDS = Forms()
+
+
 @dataclass(frozen=True)
 class CobbChange:
     """Change of curvature between rest and a pushed pose in three forms, degrees, left-convex above 0.
@@ -105,8 +116,7 @@ class CobbChange:
     rest, pushed : the two angles behind ``signed``.
     levels : upper and lower end vertebra of ``fixed_levels``: those of the rest pose, or given ones.
     tilt_levels : upper and lower vertebra behind ``tilt``.
-    sds : standard deviations of ``signed``, ``fixed_levels`` and ``tilt`` by the errors of the corners; None: of a
-        model's corners, which have none.
+    sds : standard deviations by the errors of the corners; a model's corners have none.
     """
 
     signed: float
@@ -116,7 +126,7 @@ class CobbChange:
     pushed: CobbAngle
     levels: tuple[str, str]
     tilt_levels: tuple[str, str]
-    sds: tuple[float, float, float] | None = None
+    sds: Forms = NO_SDS
 
 
 def tilts(

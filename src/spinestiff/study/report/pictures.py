@@ -120,8 +120,8 @@ def curve_changes(predictions: Predictions) -> list[CurveChange]:
         measured: dict[str, list[tuple[float, ...]]] = {"training": [], "validation": [], "unused": []}
         for item in (t for t in pushes.trials if t.push == push):
             change = predictions.measured_change(item)
-            if change is not None and change.sds is not None:
-                measured[item.role].append((item.force_n, change.tilt, HALF_WIDTH_95 * change.sds[2]))
+            if change is not None and change.sds.tilt is not None:
+                measured[item.role].append((item.force_n, change.tilt, HALF_WIDTH_95 * change.sds.tilt))
         start = pushes.reference(push).force_n
         simulated: dict[str, list[tuple[float, ...]]] = {"default": [(start, 0.0)], "fit": [(start, 0.0)]}
         for p in (p for p in predictions.frames if p.item.push == push and p.item.force_n > start):
