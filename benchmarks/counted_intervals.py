@@ -336,7 +336,7 @@ def headline(entries: Sequence[Row]) -> str:
         f"(lateral bending) and {three[2]} (tissue), of {single[0]} under the paper's single push in {single[1]} and "
         f"{single[2]}; the joint region of both ratios holds it in {three[3]} and {single[3]}. These are estimates on "
         f"the coarse mesh. On the fine mesh, which is the default, it holds bending in {fine[1]}, tissue in "
-        f"{fine[2]} and both in {fine[3]} of the {fine[0]} tried so far.**"
+        f"{fine[2]} and both in {fine[3]} of {fine[0]}.**"
     )
 
 
