@@ -10,17 +10,13 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from spinestiff.arrays import Floats
+from spinestiff.estimation.causes import ANNOTATED, DISCREPANCY, DRAG, PERSONAL, STANCE, TRACKING, Cause
 from spinestiff.estimation.discrepancy_data import STANCE_MM
 from spinestiff.estimation.emulator import Emulator, Place, by_differences
 from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 
-TRACKING, DRAG, DISCREPANCY, STANCE = "tracking", "drag of tracking", "model discrepancy", "stance"
 FACTORS = (0.5, 2.0)
-# What a person has at every visit, beside ratios: an error that two estimates of one person share.
-PERSONAL = (DISCREPANCY, "trunk size", "rib joints", "tissue's volume", "tissue mesh", "pedicles' places")
-# What is anew where the same radiographs are annotated again.
-ANNOTATED = ("annotation", "marks set by hand", "rest geometry")
 SMALLEST_MM = 0.02
 # Of a log ratio that the data say nothing of.
 LEAST_PRECISION = 1e-6
@@ -38,7 +34,7 @@ class BudgetRow:
     without : with all unknowns but this one: what measuring it would gain.
     """
 
-    name: str
+    name: Cause
     alone: tuple[float, ...]
     without: tuple[float, ...]
 
@@ -57,7 +53,7 @@ class PriorChange:
     """The estimate (P,) and the sd of its logs (P,), by the likelihood's curvature there, with one prior's standard
     deviation times ``factor``."""
 
-    name: str
+    name: Cause
     factor: float
     ratios: tuple[float, ...]
     sd: tuple[float, ...]
@@ -86,7 +82,7 @@ def linear_sds(precision: Floats) -> Floats:
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(precision))))))
 
 
-def covariance_parts(problem: WeighedProblem, fit: WeighedFit) -> dict[str, Floats]:
+def covariance_parts(problem: WeighedProblem, fit: WeighedFit) -> dict[Cause, Floats]:
     """(n, n) of the residuals, by cause; tracking's holds the errors of measured supports, too."""
     n, channels = problem.size, slice(0, problem.noise.size)
 
@@ -97,7 +93,8 @@ def covariance_parts(problem: WeighedProblem, fit: WeighedFit) -> dict[str, Floa
 
     tracking = whole(problem.noise.tracking(fit.weights.tracking_factor, fit.weights.inflation))
     tracking[range(problem.noise.size, n), range(problem.noise.size, n)] = 1.0
-    found = {TRACKING: tracking} | {name: whole(part) for name, part in problem.noise.parts.items()}
+    found: dict[Cause, Floats] = {TRACKING: tracking}
+    found |= {name: whole(part) for name, part in problem.noise.parts.items()}
     found |= {DRAG: whole(problem.moving.drag(fit.point)), DISCREPANCY: whole(problem.moving.discrepancy(fit.point))}
     for group in problem.unknowns.groups:
         columns = fit.slope.nuisances[:, problem.unknowns.in_group(group)]
@@ -140,7 +137,7 @@ def prior_changes(
     rough: Sequence[Place] = (),
 ) -> tuple[PriorChange, ...]:
     """The estimate with each prior's standard deviation halved and doubled, on the emulator."""
-    found = []
+    found: list[PriorChange] = []
     for group in problem.unknowns.groups:
         for factor in FACTORS:
             sds = np.where(problem.unknowns.in_group(group), factor, 1.0)
@@ -156,7 +153,9 @@ def prior_changes(
     return tuple(found)
 
 
-def _changed(name: str, factor: float, emulator: Emulator, fit: WeighedFit, limits: tuple[float, float]) -> PriorChange:
+def _changed(
+    name: Cause, factor: float, emulator: Emulator, fit: WeighedFit, limits: tuple[float, float]
+) -> PriorChange:
     start, step = fit.point.log_ratios, 1e-2
     height = by_differences(emulator.psi, step)
     best = minimize(height, start, jac=True, method="L-BFGS-B", bounds=[limits] * len(start)).x

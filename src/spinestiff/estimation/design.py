@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from spinestiff.arrays import Floats, Ints, ShortRepr
+from spinestiff.estimation.causes import Cause
 from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.unknowns import Unknowns
@@ -115,7 +116,7 @@ def design_at(
     )
 
 
-def better_known(design: Design, unknowns: Unknowns, left: Mapping[str, float]) -> Design:
+def better_known(design: Design, unknowns: Unknowns, left: Mapping[Cause, float]) -> Design:
     """The same where something is measured that the problem takes as it was before.
 
     Parameters

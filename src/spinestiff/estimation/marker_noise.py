@@ -14,6 +14,7 @@ import numpy as np
 
 from spinestiff.anatomy.rotation import cross_matrix
 from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.estimation.causes import Cause
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.sights import MarkerTarget
 
@@ -33,7 +34,7 @@ class SeenMarkers(ShortRepr):
     channels: slice
 
 
-def marker_parts(frames: Sequence[SeenMarkers], size: int, priors: Priors) -> dict[str, Floats]:
+def marker_parts(frames: Sequence[SeenMarkers], size: int, priors: Priors) -> dict[Cause, Floats]:
     """(n, n) mm^2 by cause, n = ``size`` channels; nothing where no markers are seen."""
     if not frames:
         return {}

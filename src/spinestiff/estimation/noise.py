@@ -24,6 +24,7 @@ from scipy.optimize import minimize_scalar
 
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import FitError
+from spinestiff.estimation.causes import Cause
 from spinestiff.estimation.channels import CHANNELS, Channels, channels_of, marking_errors
 from spinestiff.estimation.marker_noise import SeenMarkers, marker_parts
 from spinestiff.estimation.objective import Target
@@ -119,7 +120,9 @@ class Noise:
         self._trial = np.repeat(numbers, counts)
         sequence = np.array([list(dict.fromkeys(self._sequences)).index(name) for name in self._sequences])
         sequence = np.repeat(sequence, counts)
-        self.parts: dict[str, Floats] = {"annotation": priors.annotation_mm**2 * _outer(self._marked(self._sequences))}
+        self.parts: dict[Cause, Floats] = {
+            "annotation": priors.annotation_mm**2 * _outer(self._marked(self._sequences))
+        }
         stance_roll = float(np.deg2rad(priors.stance_deg))
         roll = float(np.deg2rad(priors.place_deg))
         self.parts["place in the picture"] = _outer(self._places(self._trial, priors.place_mm, roll, 0.0))

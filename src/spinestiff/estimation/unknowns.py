@@ -15,6 +15,7 @@ import numpy as np
 from spinestiff.anatomy.stiffness import RIB_ROTATION, ParameterGroup, parameter_group
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.estimation.causes import Cause
 from spinestiff.estimation.discrepancy import pushed_side
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
@@ -49,7 +50,7 @@ SCALING: Mapping[str, Mapping[str, float]] = {
     "volume": {"tissue_lambda": 1.0, "tissue": -LAMBDA_SHARE},
 }
 """Acts that scale groups of stiffnesses: of each group, by its name, the power of the act's exponential."""
-RATIOS: Mapping[str, str] = {"ribs": "rib joints", "volume": "tissue's volume"}
+RATIOS: Mapping[str, Cause] = {"ribs": "rib joints", "volume": "tissue's volume"}
 """Acts that are ratios themselves, and the names of their unknowns: where the fitted ones scale the same stiffnesses,
 they are no unknowns beside them. The trunk's size is none of them: it changes what tissue of a given modulus
 resists."""
@@ -72,7 +73,7 @@ class Unknown:
     """
 
     name: str
-    group: str
+    group: Cause
     act: str
     sizes: tuple[float, ...]
 
@@ -103,11 +104,11 @@ class Unknowns(ShortRepr):
         return tuple(unknown.name for unknown in self.each)
 
     @property
-    def groups(self) -> tuple[str, ...]:
+    def groups(self) -> tuple[Cause, ...]:
         """Groups, each once, in their order."""
         return tuple(dict.fromkeys(unknown.group for unknown in self.each))
 
-    def in_group(self, group: str) -> np.ndarray:
+    def in_group(self, group: Cause) -> np.ndarray:
         """(M,) bool."""
         return np.array([unknown.group == group for unknown in self.each], dtype=bool)
 
@@ -138,7 +139,7 @@ def unknowns_of(
     on_bones = np.array([len(trial.load.nodes) == 0 for trial in trials], dtype=bool)
     found: list[Unknown] = []
 
-    def add(name: str, group: str, act: str, size: float, where: np.ndarray) -> None:
+    def add(name: str, group: Cause, act: str, size: float, where: np.ndarray) -> None:
         if size > 0.0 and where.any():
             found.append(Unknown(name, group, act, tuple((size * where).tolist())))
 
@@ -153,14 +154,15 @@ def unknowns_of(
         add(f"height of {push}", "push height", "height", p.push_height_mm, mine & on_bones)
         add(f"depth of {push}", "push depth", "depth", p.push_depth_mm, mine & on_bones)
     per_newton = force / max(p.support_force_n, 1e-300)
-    for act, total, own, unit in (
-        ("obliquity", np.deg2rad(p.obliquity_deg), np.deg2rad(p.frame_obliquity_deg), held),
-        ("shoulder", p.shoulder_mm, p.frame_shoulder_mm, padded),
-    ):
+    supports: tuple[tuple[str, Cause, float, float, np.ndarray], ...] = (
+        ("obliquity", "obliquity by force", np.deg2rad(p.obliquity_deg), np.deg2rad(p.frame_obliquity_deg), held),
+        ("shoulder", "shoulder by force", p.shoulder_mm, p.frame_shoulder_mm, padded),
+    )
+    for act, cause, total, own, unit in supports:
         elastic = float(np.sqrt(max(total**2 - own**2, 0.0)))
         for side in dict.fromkeys(sides[loaded]):
             mine = loaded & (sides == side) & unit
-            add(f"{act} under pushes from the {side}", f"{act} by force", act, elastic, per_newton * mine)
+            add(f"{act} under pushes from the {side}", cause, act, elastic, per_newton * mine)
     for i, trial in enumerate(trials):
         one = (np.arange(len(trials)) == i) & loaded
         label = trial.label or f"trial {i + 1}"

@@ -11,6 +11,7 @@ from scipy.special import ndtri
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup
 from spinestiff.arrays import Floats
+from spinestiff.estimation.causes import Cause
 from spinestiff.estimation.design import Design, better_known, design_at
 from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet
 from spinestiff.estimation.objective import Trial
@@ -54,7 +55,7 @@ class ExpectedWidths:
         known = scene.known
         held = ratio_prior(carried.groups, scene.torso.joints.kinds, known.priors.level_smoothness, known.population)
         problem = WeighedProblem(trials, still, seen_as, known, held)
-        better = {"trunk size": known.priors.trunk_taped / max(known.priors.trunk, 1e-300)}
+        better: dict[Cause, float] = {"trunk size": known.priors.trunk_taped / max(known.priors.trunk, 1e-300)}
         self.designs: list[Design] = []
         for number, (place, states) in enumerate(zip(carried.places, carried.states)):
             say(f"place {number + 1} of {len(carried.places)}: what each radiograph would tell")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from spinestiff.anatomy.regions import AT, is_beside_whole
+from spinestiff.estimation.causes import Cause
 from spinestiff.words import sentence
 
 PLAIN = {
@@ -62,10 +63,20 @@ def within_a_sentence(title: str) -> str:
     return title if title.startswith("Young") else title[:1].lower() + title[1:]
 
 
-UNKNOWNS = {
+UNKNOWNS: Mapping[str, str] = {
+    "tracking": "tracking's errors",
     "annotation": "corners set by hand",
+    "marks set by hand": "corners and pedicles marked anew in a frame",
     "drag of tracking": "what takes tracking along",
     "place in the picture": "the patient's place in each picture",
+    "stance": "where the patient stood in each sequence",
+    "turn of the patient": "how far the patient stood turned",
+    "pedicles' places": "where the pedicles are on the bones",
+    "markers' own errors": "the cameras' errors at each marker",
+    "markers' places": "where the markers are on the skin",
+    "turn of the cameras": "the turn between cameras and radiographs",
+    "sway before the cameras": "how the patient swayed before the cameras",
+    "breath under the markers": "breath under the markers",
     "posture": "the spine's posture in each sequence",
     "rest geometry": "the spine's shape at rest",
     "model discrepancy": "what the model lacks",
@@ -86,7 +97,7 @@ UNKNOWNS = {
     "source distance": "the source's distance",
 }
 """What is not quite known, by its name in the variance budget."""
-UNMEASURABLE = ("model discrepancy", "rib joints", "tissue's volume", "tissue mesh")
+UNMEASURABLE: tuple[Cause, ...] = ("model discrepancy", "rib joints", "tissue's volume", "tissue mesh")
 
 
 def unknown_title(name: str) -> str:
