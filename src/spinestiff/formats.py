@@ -160,7 +160,7 @@ def plain_number(text: str) -> float:
 
 def plain_word(text: str, words: Collection[str]) -> str | None:
     """Which of these words a text is, or begins, in small letters or capitals; None where it is none, or several."""
-    found = [word for word in words if text and word.startswith(text.casefold())]
+    found = [word for word in words if text and word.casefold().startswith(text.casefold())]
     return found[0] if len(found) == 1 else None
 
 

@@ -61,6 +61,30 @@ def files_of(folder):
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
 
+def test_where_no_radiograph_becomes_part_of_it_there_is_no_folder(spinestiff, tmp_path):
+    for name in ("a", "b"):
+        export(tmp_path / "disc" / name, time=None)
+    result = spinestiff("init", tmp_path / "new", tmp_path / "disc", *PERSON)
+    assert result.status == 2
+    assert result.err.strip().splitlines()[-1] == (
+        "spinestiff: no radiograph becomes part of the subject, and nothing is written; a: one of several single "
+        "frontal radiographs of unknown order; say which is at rest with --frontal"
+    )
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_beam_that_nothing_tells_is_asked_for_and_taken(spinestiff, tmp_path):
+    export(tmp_path / "disc" / "a", without=("ViewPosition",))
+    assert spinestiff("init", tmp_path / "one", tmp_path / "disc", *PERSON).status == 0
+    (rest,) = (one for one in inspect(tmp_path / "one") if one.image == "rest/frontal")
+    assert any(line.startswith("nothing tells which way the beam goes, which is taken as") for line in rest.warnings)
+    assert spinestiff("init", tmp_path / "two", tmp_path / "disc", *PERSON, "--beam", "pa").status == 0
+    assert read_json(tmp_path / "two" / "subject.json")["xray"]["beam"] == "PA"
+    (rest,) = (one for one in inspect(tmp_path / "two") if one.image == "rest/frontal")
+    assert not any("beam" in line for line in rest.warnings)
+    assert rest.seen["beam_to"] == "A"
+
+
 def rows_of(path):
     return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
 

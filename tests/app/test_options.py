@@ -221,6 +221,7 @@ def test_the_shell_offers_all_words_that_an_option_takes_and_no_other():
         "--paper": PAPERS,
         "--sex": get_args(Sex),
         "--unit": UNITS,
+        "--beam": ("AP", "PA"),
         "--format": FORMATS,
         "level": LEVELS,
     }

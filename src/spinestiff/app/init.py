@@ -105,6 +105,9 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
         for name, option in ((asked.frontal, "--frontal"), (asked.lateral, "--lateral"))
     )
     sorting = sort_files(chosen, table, frontal, lateral)
+    if not sorting.pushes and sorting.frontal is None and sorting.lateral is None:
+        name, why = next(iter(sorting.reasons.items()), (str(sources[0]), "no radiograph was found"))
+        raise SubjectError(f"no radiograph becomes part of the subject, and nothing is written; {name}: {why}")
     data = making.subject_data(identifier, sorting)
     notes = making.fill(data, asked.given)
     making.name_pushes(data, sorting)

@@ -507,7 +507,7 @@ def odd_forces(push: PushRecord, unknown: Collection[int] = ()) -> str:
     most = max(push.forces_n)
     low, high = USUAL_FORCES_N
     if most == 0.0 and not unknown:
-        return "all forces are 0 N: look whether the gauge was on, and which column of its log has the force"
+        return "all forces are 0 N: look whether the gauge was on, and whether they are its forces"
     if most == 0.0 or low <= most <= high:
         return ""
     return f"forces up to {most:g} N, where pushes on the ribs have {low:g} to {high:g} N: look whether they are in N"

@@ -12,6 +12,7 @@ import numpy as np
 from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
 from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.millimetres import Geometry
+from spinestiff.imaging.dicom.orientation import BEAM_ASSUMED
 from spinestiff.imaging.dicom.reading import Scan, read_scan
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import candidates, check_files, in_order, read_scans, times_of
@@ -131,8 +132,17 @@ def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -
         scans, odd = read_scans(path, given, within)
     except RadiographError as problem:
         return Inspection(name, str(problem)), None
-    told = (*filter(None, [odd]), *_looks_otherwise(scans[0]), *_too_small(scans[0]))
+    told = (*filter(None, [odd]), *_looks_otherwise(scans[0]), *_too_small(scans[0]), *_beam_untold(scans[0]))
     return Inspection(name, "", _seen(scans), scans[0].missing, told), scans[0]
+
+
+def _beam_untold(scan: Scan) -> Iterator[str]:
+    """A frontal picture whose beam is taken to go as nothing says."""
+    if scan.directions is not None and scan.directions.beam_source == BEAM_ASSUMED:
+        yield (
+            "nothing tells which way the beam goes, which is taken as anterior to posterior; if the patient faced the "
+            f"detector, write xray.beam 'PA' into {SUBJECT_FILE}"
+        )
 
 
 def _looks_otherwise(scan: Scan) -> Iterator[str]:

@@ -85,10 +85,23 @@ def shown_key(key: str) -> str:
     return key if key.isprintable() and 0 < len(key) <= 40 else shown_value(key, 30)
 
 
+UNITS = {"cm": " cm", "mm": " mm", "kg": " kg", "n": " N", "deg": " degrees", "s": " s", "px": " pixels"}
+"""What a value is told in whose key ends so."""
+MEANT = (
+    (("weight", "mass", "gewicht"), "mass_kg"),
+    (("force", "forces", "load", "loads"), "forces_n"),
+    (("rib", "height"), "level"),
+    (("height", "size"), "height_cm"),
+)
+"""Words of people for keys of the schema, by the part before a unit."""
+
+
 def _complaint(complaint: ErrorDetails, page: str, record: type[BaseModel] | None = None) -> str:
     kind, message = complaint["type"], complaint["msg"]
     if kind == "extra_forbidden":
-        near = did_you_mean(str(complaint["loc"][-1]), _keys_beside(complaint["loc"], record))
+        key, known = str(complaint["loc"][-1]), _keys_beside(complaint["loc"], record)
+        meant = [other for words, other in MEANT if key.casefold().split("_")[0] in words and other in known]
+        near = f"; did you mean {meant[0]}?" if meant else did_you_mean(key, known)
         return f"unknown key{near or f'; check its spelling against {page}'}"
     if kind == "missing":
         return "missing"
@@ -100,6 +113,9 @@ def _complaint(complaint: ErrorDetails, page: str, record: type[BaseModel] | Non
         return told
     wanted = re.sub(r"^(Input|String|Tuple|Dictionary) should (be |have |match )?", "", message)
     wanted = re.sub(r" after validation, not \d+$", "", wanted).replace("a valid array", "a list")
+    if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        key = next((part for part in reversed(complaint["loc"]) if isinstance(part, str)), "")
+        wanted += UNITS.get(key.rpartition("_")[2], "")
     return f"found {shown_value(complaint['input'])}, wanted {wanted}"
 
 

@@ -119,6 +119,7 @@ class XRayRecord(Record):
     imager_pixel_mm : pixel pitch at the detector, mm.
     orientation : "standard" = in files without an orientation of their own columns grow to the patient's left (in
         lateral views to anterior) and rows to the feet.
+    beam : "AP" or "PA", which way it goes through the patient in frontal radiographs that don't tell.
     scale : known lengths, by the image in which they were marked.
     images : what differs from the above in single images, by their names (``PushRecord.geometry_images``).
     """
@@ -127,6 +128,7 @@ class XRayRecord(Record):
     source_patient_mm: SourceDistance | None = None
     imager_pixel_mm: DetectorPitch | None = None
     orientation: Literal["standard"] | None = None
+    beam: Literal["AP", "PA"] | None = None
     scale: dict[str, ScaleRecord] | None = None
     images: dict[str, ImageXRayRecord] | None = None
 

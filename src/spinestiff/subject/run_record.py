@@ -90,9 +90,9 @@ _ASKED = {"parameters", "population"}
 
 PARTS: Mapping[str, Callable[[Subject], object]] = {
     f"{SUBJECT_FILE}: id": lambda s: s.record.id,
-    # Without pictures of their own as before there could be any, so that earlier results stay up to date.
+    # Without these two as before there could be any, so that earlier results stay up to date.
     f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(
-        mode="json", exclude=None if s.record.xray.images else {"images"}
+        mode="json", exclude={key for key in ("images", "beam") if not getattr(s.record.xray, key)}
     ),
     f"{SUBJECT_FILE}: frames": _frames,
     f"{SUBJECT_FILE}: forces": lambda s: _pushes(s, "id", "forces_n"),

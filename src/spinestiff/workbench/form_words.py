@@ -83,6 +83,7 @@ WORDS: Final[dict[str, dict[str, str]]] = {
     "xray.source_patient_mm": {"title": "X-ray source to patient", "unit": "mm", "picture": "source_patient"},
     "xray.imager_pixel_mm": {"title": "Pixel at the detector", "unit": "mm", "picture": "pixel"},
     "xray.orientation": {"title": "Orientation of radiographs that don't tell theirs"},
+    "xray.beam": {"title": "Beam of frontal radiographs that don't tell theirs"},
     "xray.images": {
         "title": "A picture that was taken otherwise",
         "help": "Where the files lack the geometry and not all pictures have the same: rest radiographs and pushes "

@@ -42,6 +42,26 @@ def test_the_beam_of_a_lateral_view(file, values, change, beam, source):
     assert radiograph.provenance["beam"].startswith(source)
 
 
+@pytest.mark.parametrize(
+    ("position", "given", "beam", "source"),
+    [
+        ("", None, [0, 0, -1], "assumed anterior to posterior"),
+        ("", "PA", [0, 0, 1], "given as PA"),
+        ("", "AP", [0, 0, -1], "given as AP"),
+        ("PA", "PA", [0, 0, 1], "DICOM ViewPosition PA"),
+    ],
+)
+def test_the_beam_of_a_frontal_view(file, position, given, beam, source):
+    (radiograph,) = read_radiographs(file(ViewPosition=position), geometry=Geometry(beam=given))
+    np.testing.assert_allclose(radiograph.view.normal, beam, atol=1e-12)
+    assert radiograph.provenance["beam"] == source
+
+
+def test_a_given_beam_that_the_file_contradicts_is_refused(file):
+    with pytest.raises(RadiographError, match=r"ViewPosition: found AP, wanted PA as xray\.beam says; correct either"):
+        read_radiographs(file(), geometry=Geometry(beam="PA"))
+
+
 def test_the_laterality_of_a_frontal_view_turns_nothing(file):
     (radiograph,) = read_radiographs(file(ImageLaterality="R"))
     np.testing.assert_array_equal(radiograph.view.detector_axes[0], [1, 0, 0])

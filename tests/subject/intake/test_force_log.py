@@ -32,7 +32,7 @@ def read(path, names=None, units=(None, None)):
         ("Time (ms);Force (kgf)\n0;0\n500;1,5\n", [0.0, 0.5], [0.0, 14.709975]),
         ("t [s]\tF [lbf]\n0\t0\n1\t2\n", [0.0, 1.0], [0.0, 8.8964432]),
         ("Gauge M5\nSerial;1\n\nZeit;Kraft\ns;N\n1;2\n2;-0,5\n", [1.0, 2.0], [2.0, 0.0]),
-        ("n,load N,peak,time s\n1,3,9,0\n2,4,9,1\n", [0.0, 1.0], [3.0, 4.0]),
+        ("n,load N,peak,time s\n1,0,9,0\n2,4,9,1\n", [0.0, 1.0], [0.0, 4.0]),
         ("s,N\n0,0\n1,2\n,\n\n", [0.0, 1.0], [0.0, 2.0]),
     ],
 )
@@ -222,6 +222,16 @@ def test_a_gauge_whose_zero_is_off_is_told(log):
     (note,) = found.notes
     assert note.startswith("forces of the other sign, up to 1.0 N, count as none, and the others as they stand")
     assert read(log("time s,force N\n0,-0.4\n1,29\n2,59\n")).notes == ()
+
+
+def test_a_gauge_that_never_shows_nothing_is_told(log):
+    found = read(log("time s,force N\n0,6.2\n1,36.2\n2,66.2\n"))
+    assert found.forces_n.tolist() == [6.2, 36.2, 66.2]
+    (note,) = found.notes
+    assert note.startswith(
+        "forces never below 6.2 N: look whether the gauge shows 0 without a load; if it does not, all"
+    )
+    assert read(log("time s,force N\n0,1.9\n1,36.2\n2,66.2\n")).notes == ()
 
 
 def test_between_entries_the_force_is_on_a_line_and_what_is_in_the_air_is_none(log):

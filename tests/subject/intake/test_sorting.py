@@ -137,7 +137,10 @@ def test_single_frames_of_one_series_are_one_push_in_order_of_time(exported):
     sorting = sort_files(found)
     assert names(sorting) == ("rest", None, [["y", "x", "z"]])
     assert sorting.pushes[0].times_s == (0.0, 10.0, 55.0)
-    assert sorting.reasons["x"] == "frontal, one of 3 of a series within 60 s of each other"
+    assert sorting.reasons["x"] == (
+        "frontal, one of 3 of a series within 60 s of each other; a suggestion: parts of one long picture follow each "
+        "other so, too"
+    )
 
 
 def test_one_at_rest_is_no_frame_of_a_push_though_it_is_of_its_series(exported):
@@ -145,6 +148,57 @@ def test_one_at_rest_is_no_frame_of_a_push_though_it_is_of_its_series(exported):
              name, time, number, words in (("x", "102000", 1, "AP"), ("y", "102010", 2, "AP standing"),
                                            ("z", "102020", 3, "AP"), ("w", "102030", 4, "AP"))]  # fmt: skip
     assert names(sort_files(found)) == ("y", None, [["z", "w"]])
+
+
+def test_bending_films_are_neither_at_rest_nor_a_push(exported):
+    found = [exported(name, time=time, series="1.2.7", SeriesDescription="WS pa Bending") for name, time in
+             (("x", "102000"), ("y", "102030"))]  # fmt: skip
+    sorting = sort_files(found)
+    assert names(sorting) == (None, None, [])
+    why = "single frontal radiograph whose series is called a bending film, which has no force on the ribs"
+    assert sorting.reasons == {"x": why, "y": why}
+    assert names(sort_files([*found, exported("z", time="103000")])) == ("z", None, [])
+
+
+def test_a_single_one_is_told_by_when_it_was_taken_against_the_one_at_rest(exported):
+    found = [exported("a", time="085000"), exported("b", time="090000", SeriesDescription="WS stehend"),
+             exported("c", time="091000"), exported("d", time=None)]  # fmt: skip
+    reasons = sort_files(found).reasons
+    said = {name: reasons[name].removeprefix("single frontal radiograph ").split()[0] for name in "acd"}
+    assert said == {"a": "before", "c": "after", "d": "beside"}
+
+
+def table_of(tmp_path, found, *rows):
+    path = tmp_path / "pushes.csv"
+    path.write_text("\n".join([",".join(COLUMNS), *rows]) + "\n")
+    return pushes_of(path, read_push_table(path), found)
+
+
+def test_a_frame_that_the_table_forgot_is_not_taken_for_the_one_at_rest(exported, tmp_path):
+    found = [exported(f"p/{i}", time=f"1020{i}0", series="1.2.7") for i in range(4)]
+    rows = [f"p/{i},,{20 * i},left,8,400,66" for i in range(3)]
+    sorting = sort_files(found, table_of(tmp_path, found, *rows))
+    assert names(sorting) == (None, None, [["p/0", "p/1", "p/2"]])
+    assert sorting.reasons["p/3"] == (
+        "of the series of p/0, but in no row of the table of pushes; name it there or, if it is at rest, with --frontal"
+    )
+    # One that was taken before the push may be at rest, as one may that is called so.
+    before = exported("r", time="101000", series="1.2.7")
+    assert names(sort_files([*found[:3], before], table_of(tmp_path, found, *rows)))[0] == "r"
+    called = exported("r", time="103000", series="1.2.7", SeriesDescription="standing")
+    assert names(sort_files([*found[:3], called], table_of(tmp_path, found, *rows)))[0] == "r"
+
+
+def test_rows_of_the_table_that_are_no_push_are_refused(exported, tmp_path):
+    found = [exported("a", time="101000"), exported("b", "lateral", time="102000")]
+    with pytest.raises(
+        SubjectError, match=r"^row 2 of the table of pushes: b: lateral \(PatientOrientation A\\F\); pushes"
+    ):
+        sort_files(found, table_of(tmp_path, found, "b,0,20,left,8,400,66"))
+    with pytest.raises(SubjectError, match=r"^row 2 of the table of pushes: a is one radiograph without force, and no"):
+        sort_files(found, table_of(tmp_path, found, "a,0,0,left,8,400,66"))
+    with pytest.raises(SubjectError, match=r"row 2: d31_mm 410 is not below d21_mm 400; wanted the push between"):
+        table_of(tmp_path, found, "a,0,20,left,8,400,410")
 
 
 def test_the_table_says_what_is_a_push_and_what_is_not(exported, tmp_path):

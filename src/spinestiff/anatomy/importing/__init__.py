@@ -39,6 +39,7 @@ __all__ = ["DEFAULT_SPACING_MM", "ImportedTorso", "import_torso"]
 
 DEFAULT_SPACING_MM = 28.0
 TEMPLATE_HEIGHT_CM = 157.0
+WORTH_TELLING = 0.1  # of a stated height against that of the spine's length
 MOST_UNLIKE = 1.5  # of a stated height and that of the spine's length; an inch is 2.54 cm
 
 
@@ -139,6 +140,11 @@ def import_torso(
         raise TorsoError(
             f"body height {height:.0f} cm, but a spine of {skeleton.column_mm:.0f} mm goes with some {usual:.0f} cm; "
             "check the height and the files' unit, which may be none of mm, cm and m"
+        )
+    if abs(height / usual - 1.0) > WORTH_TELLING:
+        notes.append(
+            f"body height {height:.0f} cm as told, but a spine of {skeleton.column_mm:.0f} mm goes with some "
+            f"{usual:.0f} cm"
         )
     say("skin: generating one" if given is None else "skin: checking that all bones lie inside")
     closed = None if given is None else (given[0] - origin, given[1])

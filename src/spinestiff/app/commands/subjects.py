@@ -114,6 +114,14 @@ def init(
             autocompletion=offering("standard"),
         ),
     ] = None,
+    beam: Annotated[
+        str | None,
+        typer.Option(
+            callback=among("AP", "PA"),
+            help="AP or PA: which way the beam goes in frontal radiographs that don't tell.",
+            autocompletion=offering("AP", "PA"),
+        ),
+    ] = None,
     no_questions: Annotated[bool, typer.Option("--no-questions", help="Ask nothing on a terminal.")] = False,
 ) -> None:
     """Make a subject folder from a hospital's DICOM files; what is not known stays open, and is named."""
@@ -129,6 +137,7 @@ def init(
         "imager_pixel_mm": by_picture("--imager-pixel", imager_pixel or (), pixel_limits),
     }
     geometry = {**{key: found.pop("", None) for key, found in lengths.items()}, "orientation": orientation}
+    geometry["beam"] = beam
     told, of_pushes, of_all = (
         {key: value for key, value in part.items() if value is not None} for part in (person, push, geometry)
     )

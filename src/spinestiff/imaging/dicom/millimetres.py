@@ -61,6 +61,7 @@ class Geometry:
     imager_pixel_mm : pixel pitch at the detector.
     view : which side is seen, for files without PatientOrientation.
     scale : a known length in the image, for files without a spacing; one that the file contradicts is refused.
+    beam : which way it goes through the patient, for frontal files without ViewPosition.
     """
 
     source_detector_mm: float | None = None
@@ -68,6 +69,7 @@ class Geometry:
     imager_pixel_mm: float | None = None
     view: Literal["frontal", "lateral"] | None = None
     scale: Scale | None = None
+    beam: Literal["AP", "PA"] | None = None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ from spinestiff.imaging.dicom.tags import MissingValue, Tags
 _LETTERS = {"L": (1, 0, 0), "R": (-1, 0, 0), "P": (0, 1, 0), "A": (0, -1, 0), "H": (0, 0, 1), "F": (0, 0, -1)}
 BEAMS = {"AP": "P", "PA": "A", "LL": "L", "RL": "R"}
 """Where the beam of a ViewPosition goes to."""
+BEAM_ASSUMED = "assumed anterior to posterior"
+"""What a frontal view's beam comes from that nothing tells."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,15 @@ def directions(tags: Tags, given: Geometry) -> Directions:
             raise RadiographError(
                 f"ViewPosition: found {tags.view_position}, wanted {side}L as the laterality says; correct either"
             )
+        if frontal and given.beam not in (None, tags.view_position):
+            raise RadiographError(
+                f"ViewPosition: found {tags.view_position}, wanted {given.beam} as xray.beam says; correct either"
+            )
         return Directions(column, row, towards, source, f"DICOM ViewPosition {tags.view_position}")
+    if frontal and given.beam is not None:
+        return Directions(column, row, BEAMS[given.beam], source, f"given as {given.beam}")
     if frontal:
-        return Directions(column, row, "P", source, "assumed anterior to posterior")
+        return Directions(column, row, "P", source, BEAM_ASSUMED)
     if side:
         return Directions(column, row, side, source, f"DICOM laterality {side}, that side next to the detector")
     return Directions(column, row, "L", source, "assumed right to left")

@@ -67,10 +67,12 @@ class ExportTags:
 
 # Words by which series are named, in a few languages; whole words, dots taken out.
 _FRONTAL = frozenset({"ap", "pa", "frontal", "front", "coronal", "koronar", "anteroposterior", "posteroanterior"})
-_LATERAL = frozenset({"lat", "lateral", "ll", "rl", "sagittal", "seitlich", "profil", "profile", "perfil"})
+_LATERAL = frozenset(
+    {"lat", "lateral", "ll", "rl", "sagittal", "seitlich", "seitl", "sag", "profil", "profile", "perfil"}
+)
 _REST = frozenset({"rest", "standing", "stehend", "neutral", "unloaded", "upright", "ruhe", "repos", "baseline"})
-_BENDING = frozenset({"bending", "bend"})
-_PUSH = _BENDING | {"push", "pushed", "pushing", "force", "load", "loaded", "druck", "kraft", "newton"}
+_BENDING = frozenset({"bending", "bend", "seitneigung"})
+_PUSH = frozenset({"push", "pushed", "pushing", "force", "load", "loaded", "druck", "kraft", "newton"})
 _AGE_UNITS = {"Y": 1.0, "M": 1.0 / 12.0, "W": 7.0 / 365.25, "D": 1.0 / 365.25}
 
 
@@ -81,6 +83,8 @@ def export_tags(dataset: Dataset) -> ExportTags:
     sideways = bool(words & _LATERAL) and not words & _BENDING
     view = _either("frontal", bool(words & _FRONTAL), "lateral", sideways)
     use = _either("rest", bool(words & _REST), "push", bool(words & _PUSH))
+    if words & _BENDING and not words & _PUSH:
+        use = "bending"
     age, source = _age(dataset)
     sex = {"F": "female", "M": "male"}.get(told(dataset, "PatientSex").upper())
     study, series = (told(dataset, key) for key in ("StudyInstanceUID", "SeriesInstanceUID"))

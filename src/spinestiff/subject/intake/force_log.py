@@ -50,6 +50,7 @@ _MINUTES = re.compile(r"(?P<m>[0-5]?\d):(?P<s>[0-5]\d)[.,](?P<part>\d+)")
 """Minutes and seconds, 03:22.5, as spreadsheets save times of day; without parts of a second they may be hours."""
 DAY_S, HOUR_S = 86400.0, 3600.0
 NOTHING_N = 0.5
+NEVER_BELOW_N = 2.0  # from where on a log without a force below it is told of
 """Forces below count as none: what a hand-held gauge shows in the air."""
 BESIDE_S, BESIDE_STEPS = 0.1, 2.0
 """So far, or so many of a log's steps, beyond its ends it still tells a force."""
@@ -335,6 +336,13 @@ def _magnitudes(path: Path, times: Floats, forces: Floats, notes: list[str]) -> 
         notes = [*notes, "forces below 0: the gauge counts a push so; taken as magnitudes"]
     if high > GAUGE_LIMIT_N:
         raise SubjectError(f"{path}: forces up to {high:.0f} N, wanted at most {GAUGE_LIMIT_N:g} N; check the unit")
+    least = float(forces.min())
+    if least > NEVER_BELOW_N:
+        notes = [
+            *notes,
+            f"forces never below {least:.1f} N: look whether the gauge shows 0 without a load; if it does not, all "
+            "forces are too large by as much, and else no frame is without force",
+        ]
     return ForceLog(times, np.maximum(forces, 0.0), tuple(notes))
 
 

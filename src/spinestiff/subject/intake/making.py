@@ -206,6 +206,7 @@ def _geometry(data: Mapping[str, Any], image: str) -> Geometry:
     return Geometry(
         own.source_detector_mm, own.source_patient_mm, own.imager_pixel_mm,
         usual if xray.orientation == "standard" else None,  # type: ignore[arg-type]
+        None, xray.beam if usual == "frontal" else None,
     )  # fmt: skip
 
 
@@ -230,7 +231,10 @@ def check_place(out: Path, sources: Sequence[Path]) -> None:
     """Raise SubjectError unless a new folder can be made there, outside of what is read."""
     if os.path.lexists(out) and not (out.is_dir() and not any(out.iterdir())):
         what = f"a subject folder, with {SUBJECT_FILE}" if (out / SUBJECT_FILE).exists() else "not empty"
-        raise SubjectError(f"{out}: is there already ({what}); nothing is overwritten, name a new folder")
+        raise SubjectError(
+            f"{out}: is there already ({what}); nothing is overwritten, name a new folder, or delete this one if it "
+            "was a try; spinestiff serve adds radiographs to a subject"
+        )
     place = Path(os.path.realpath(out))
     for source in sources:
         if source.is_dir() and place.is_relative_to(Path(os.path.realpath(source))):

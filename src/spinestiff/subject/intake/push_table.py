@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -229,4 +230,10 @@ def _push(path: Path | str, group: list[tuple[TableRow, tuple[Exported, ...]]]) 
             values = " and ".join(f"{value} (row {line})" for value, line in list(told.items())[:2])
             raise SubjectError(f"{path}: {name}: found {values} for frames of one push, wanted one value")
         shared |= dict.fromkeys([name], next(iter(told))) if told else {}
+    line = group[0][0].line
+    if shared.get("d31_mm", 0.0) >= shared.get("d21_mm", math.inf):
+        raise SubjectError(
+            f"{path}: row {line}: d31_mm {shared['d31_mm']:g} is not below d21_mm {shared['d21_mm']:g}; wanted the "
+            "push between shoulder and pelvis"
+        )
     return TablePush(tuple(files.values()), rows, shared, group[0][0].push)

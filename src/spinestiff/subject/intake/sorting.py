@@ -19,6 +19,10 @@ from spinestiff.words import counted, push_named
 
 LONGEST_PAUSE_S = 60.0
 """Between radiographs of one frame each that are taken for one push."""
+FEW_FRAMES = 3
+"""Up to so many single radiographs in a row may be something else than a push."""
+NO_REST = ("push", "bending")
+"""What a series is called whose radiographs are not at rest (``ExportTags.use``)."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,10 @@ def sort_files(
     reasons |= {one.name: push.why for push in pushes for one in push.files}
     left = [one for one in rest if one.name not in taken]
     singles = [one for one in left if one.frames == 1]
+    if table is not None:
+        forgotten = _of_a_push(singles, pushes)
+        reasons |= forgotten
+        singles = [one for one in singles if one.name not in forgotten]
     chosen = {"frontal": frontal, "lateral": lateral}
     for view in ("frontal", "lateral"):
         mine = [one for one in singles if one.view == view]
@@ -141,7 +149,7 @@ def sort_files(
         else:
             reasons |= {one.name: f"single {view} radiograph, but --{view} names another" for one in mine}
         unstated = [one for one in singles if one.view is None and one.looks is not None]
-        alike = [one for one in unstated if one.looks and one.looks.view == view and one.tags.use != "push"]
+        alike = [one for one in unstated if one.looks and one.looks.view == view and one.tags.use not in NO_REST]
         if chosen[view] is None and not mine and len(alike) == 1:
             chosen[view] = alike[0]
             reasons[alike[0].name] = f"{_looks(alike[0])}; a suggestion, since nothing states its view: look at it"
@@ -188,7 +196,7 @@ def _found_pushes(found: Sequence[Exported]) -> tuple[list[PushFiles], set[str]]
     runs: list[list[Exported]] = []
     singles = [one for one in found if one.frames == 1 and one.view == "frontal" and one.tags.series]
     for one in sorted(singles, key=lambda one: (one.tags.series, *_moment(one))):
-        if one.tags.use != "rest" and runs and _follows(one, runs[-1][-1]):
+        if one.tags.use not in ("rest", "bending") and runs and _follows(one, runs[-1][-1]):
             runs[-1].append(one)
         else:
             runs.append([one])
@@ -199,12 +207,14 @@ def _found_pushes(found: Sequence[Exported]) -> tuple[list[PushFiles], set[str]]
             except RadiographError:
                 continue
             why = f"frontal, one of {len(run)} of a series within {LONGEST_PAUSE_S:g} s of each other"
+            if len(run) <= FEW_FRAMES:
+                why += "; a suggestion: parts of one long picture follow each other so, too"
             pushes.append(PushFiles(files, forces_n=(None,) * len(run), why=why))
     return pushes, {one.name for push in pushes for one in push.files}
 
 
 def _follows(one: Exported, last: Exported) -> bool:
-    same = one.tags.series == last.tags.series and one.size == last.size and last.tags.use != "rest"
+    same = one.tags.series == last.tags.series and one.size == last.size and last.tags.use not in ("rest", "bending")
     if not same or one.tags.moment is None or last.tags.moment is None:
         return False
     return one.tags.moment - last.tags.moment <= LONGEST_PAUSE_S
@@ -243,12 +253,12 @@ def _looks(one: Exported) -> str:
 
 def _at_rest(mine: Sequence[Exported], view: str) -> tuple[Exported | None, str]:
     """Which of the single radiographs of a view is the one at rest, and why."""
-    if len(mine) == 1 and mine[0].tags.use != "push":
+    if len(mine) == 1 and mine[0].tags.use not in NO_REST:
         return mine[0], f"the only single {_seen(mine[0])} radiograph"
     said = [one for one in mine if one.tags.use == "rest"]
     if len(said) == 1:
         return said[0], f"single {_seen(said[0])} radiograph whose series is called one at rest"
-    open_ = [one for one in said or mine if one.tags.use != "push"]
+    open_ = [one for one in said or mine if one.tags.use not in NO_REST]
     if len(open_) == 1:
         return open_[0], f"the only single {_seen(open_[0])} radiograph that is not called a push"
     moments = sorted(one.tags.moment for one in open_ if one.tags.moment is not None)
@@ -259,13 +269,32 @@ def _at_rest(mine: Sequence[Exported], view: str) -> tuple[Exported | None, str]
 
 
 def _another(one: Exported, view: str, chosen: Exported | None) -> str:
+    if one.tags.use == "bending":
+        return f"single {view} radiograph whose series is called a bending film, which has no force on the ribs"
     if chosen is None and one.tags.use == "push":
         return f"single {view} radiograph whose series is called a push; name it in --pushes"
     if chosen is None:
         return f"one of several single {view} radiographs of unknown order; say which is at rest with --{view}"
+    moments = one.tags.moment, chosen.tags.moment
+    when = "beside" if None in moments else "before" if moments < moments[::-1] else "after"  # type: ignore[operator]
     if view == "frontal":
-        return "single frontal radiograph after the one at rest; if it shows a push, name it in --pushes"
-    return "single lateral radiograph after the one at rest"
+        return f"single frontal radiograph {when} the one at rest; if it shows a push, name it in --pushes"
+    return f"single lateral radiograph {when} the one at rest"
+
+
+def _of_a_push(singles: Sequence[Exported], pushes: Sequence[PushFiles]) -> dict[str, str]:
+    """Why those are left out that are of a push's series and not taken before it, though no row names them."""
+    found = {}
+    for push in pushes:
+        first = push.files[0].tags
+        for one in singles:
+            before = None not in (one.tags.moment, first.moment) and one.tags.moment < first.moment  # type: ignore[operator]
+            if first.series and one.tags.series == first.series and one.tags.use != "rest" and not before:
+                found[one.name] = (
+                    f"of the series of {push.files[0].name}, but in no row of the table of pushes; name it there or, "
+                    f"if it is at rest, with --{one.view or 'frontal'}"
+                )
+    return found
 
 
 def _left_out(one: Exported, has_table: bool) -> str:
@@ -279,17 +308,28 @@ def _left_out(one: Exported, has_table: bool) -> str:
 
 def _ordered(push: TablePush) -> PushFiles:
     """A push of the table with its frames in order of time."""
+    row = next(iter(push.rows.values()))
+    where = f"row {row.line} of the table of pushes"
+    for one in push.files:
+        # Words of a series are no more than words.
+        if one.view == "lateral" and one.view_source != SERIES_WORDS:
+            raise SubjectError(f"{where}: {one.name}: {_seen(one)}; pushes are seen from the front")
+    if len(push.files) == 1 and push.files[0].frames == 1 and row.force_n == 0.0:
+        raise SubjectError(
+            f"{where}: {push.files[0].name} is one radiograph without force, and no push; if it is the one at rest, "
+            "leave the row out and name it with --frontal"
+        )
     try:
         files = _in_time(push.files) if len(push.files) > 1 else push.files
     except RadiographError as problem:
-        raise SubjectError(f"row {next(iter(push.rows.values())).line} of the table of pushes: {problem}") from None
+        raise SubjectError(f"{where}: {problem}") from None
     if len(files) == 1:
         count = files[0].frames
         rows = [push.rows.get((files[0].name, frame)) for frame in range(count)]
     else:
         rows = [push.rows.get(("", frame), push.rows.get((one.name, 0))) for frame, one in enumerate(files)]
     forces = tuple(None if row is None else row.force_n for row in rows)
-    told: list[TableRow] = [row for row in rows if row is not None]
+    told: list[TableRow] = [one for one in rows if one is not None]
     roles = tuple("unused" if row is None else row.role or "unused" for row in rows)
     why = f"in the table of pushes, row{'s' if len(told) > 1 else ''} " + ", ".join(str(row.line) for row in told[:4])
     why += ", ..." if len(told) > 4 else ""
