@@ -106,6 +106,7 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     )
     sorting = sort_files(chosen, table, frontal, lateral)
     if not sorting.pushes and sorting.frontal is None and sorting.lateral is None:
+        tables.show(_table(sorting, [], chosen, refused, others))
         name, why = next(iter(sorting.reasons.items()), (str(sources[0]), "no radiograph was found"))
         raise SubjectError(f"no radiograph becomes part of the subject, and nothing is written; {name}: {why}")
     data = making.subject_data(identifier, sorting)

@@ -60,6 +60,7 @@ def fit_stiffness(
     names: Sequence[str] = ("lateral_bending", "tissue"),
     method: Method = "weighed",
     start: Start | Mapping[str, float] | None = None,
+    *,
     known: Known | None = None,
     bounds: tuple[float, float] = RATIO_BOUNDS,
     orientation: Orientation = "procrustes",

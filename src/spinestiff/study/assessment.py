@@ -10,7 +10,7 @@ import numpy as np
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.curves.changes import signed_levels
-from spinestiff.curves.tilts import NO_SDS, CobbChange
+from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.asked import Start
 from spinestiff.estimation.fitted import Method
@@ -84,7 +84,7 @@ def change_record(change: CobbChange) -> CobbChangeRecord:
         levels=change.levels,
         tilt_levels=change.tilt_levels,
         signed_levels=signed_levels(change),
-        sds=None if change.sds == NO_SDS else tuple(round(sd, 3) for sd in change.sds),  # type: ignore[arg-type, union-attr]
+        sds=None if None in change.sds else tuple(round(sd, 3) for sd in change.sds),  # type: ignore[arg-type]
     )
 
 

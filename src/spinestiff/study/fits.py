@@ -77,7 +77,7 @@ def fit_pushes(
         names,
         method,
         start,
-        pushes.known,
+        known=pushes.known,
         orientation=pushes.orientation,
         extent=extent,
         observer=observer,

@@ -38,7 +38,7 @@ def image_geometry(
         own.imager_pixel_mm,
         kind if usual else None,
         None if scale is None else _scale(scale, annotation, image),
-        record.xray.beam if kind == "frontal" else None,
+        own.beam if kind == "frontal" else None,
     )
 
 

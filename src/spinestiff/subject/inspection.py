@@ -29,6 +29,7 @@ from spinestiff.subject.records import (
     REST_IMAGES,
     SUBJECT_FILE,
 )
+from spinestiff.words import counted
 
 SPINE_MM = 100.0
 """At the detector; eight vertebrae of a child of 120 cm are longer."""
@@ -132,17 +133,22 @@ def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -
         scans, odd = read_scans(path, given, within)
     except RadiographError as problem:
         return Inspection(name, str(problem)), None
-    told = (*filter(None, [odd]), *_looks_otherwise(scans[0]), *_too_small(scans[0]), *_beam_untold(scans[0]))
+    told = (*filter(None, [odd]), *_looks_otherwise(scans[0]), *_too_small(scans[0]))
     return Inspection(name, "", _seen(scans), scans[0].missing, told), scans[0]
 
 
-def _beam_untold(scan: Scan) -> Iterator[str]:
-    """A frontal picture whose beam is taken to go as nothing says."""
-    if scan.directions is not None and scan.directions.beam_source == BEAM_ASSUMED:
-        yield (
-            "nothing tells which way the beam goes, which is taken as anterior to posterior; if the patient faced the "
-            f"detector, write xray.beam 'PA' into {SUBJECT_FILE}"
-        )
+def _with_beam_told_of(found: Sequence[Inspection]) -> list[Inspection]:
+    """With a warning at the first frontal picture whose beam is taken to go as nothing says, for all of them."""
+    untold = [i for i, one in enumerate(found) if one.seen and one.seen["sources"].get("beam") == BEAM_ASSUMED]
+    if not untold:
+        return list(found)
+    more = f" here and in {counted(len(untold) - 1, 'further picture')}" if len(untold) > 1 else ""
+    warning = (
+        f"nothing tells which way the beam goes{more}, which is taken as anterior to posterior; if the patient faced "
+        f"the detector, write xray.beam 'PA' into {SUBJECT_FILE}, or make the subject with --beam PA"
+    )
+    first = replace(found[untold[0]], warnings=(*found[untold[0]].warnings, warning))
+    return [first if i == untold[0] else one for i, one in enumerate(found)]
 
 
 def _looks_otherwise(scan: Scan) -> Iterator[str]:
@@ -242,7 +248,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
             seen_from, subject = scan.view(np.zeros(3)), Subject(folder, record, annotation)
             one = replace(one, reason=_odd_marks(subject, (*wanted, *later.get(name, ())), seen_from))
         found.append(replace(one, warnings=(*one.warnings, *filter(None, [odd.get(name)]))))
-    return tuple(found)
+    return tuple(_with_beam_told_of(found))
 
 
 def _odd_marks(subject: Subject, names: Sequence[str], view: XRayView) -> str:

@@ -102,12 +102,13 @@ class ImageXRayRecord(Record):
 
     Attributes
     ----------
-    source_detector_mm, source_patient_mm, imager_pixel_mm : as in ``XRayRecord``; None: what is given there.
+    source_detector_mm, source_patient_mm, imager_pixel_mm, beam : as in ``XRayRecord``; None: what is given there.
     """
 
     source_detector_mm: SourceDistance | None = None
     source_patient_mm: SourceDistance | None = None
     imager_pixel_mm: DetectorPitch | None = None
+    beam: Literal["AP", "PA"] | None = None
 
 
 class XRayRecord(Record):

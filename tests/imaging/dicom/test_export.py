@@ -43,6 +43,7 @@ def test_the_view_position_tells_it_without_an_orientation(read):
         ("lateral bending left", None, "bending"),
         ("Seitneigung links", None, "bending"),
         ("bending push 40 N", None, "push"),
+        ("WS Bending neutral", None, None),
         ("WS seitl. stehend", "lateral", "rest"),
         ("push standing", None, None),
         ("scapula flat", None, None),

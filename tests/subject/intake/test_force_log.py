@@ -228,9 +228,7 @@ def test_a_gauge_that_never_shows_nothing_is_told(log):
     found = read(log("time s,force N\n0,6.2\n1,36.2\n2,66.2\n"))
     assert found.forces_n.tolist() == [6.2, 36.2, 66.2]
     (note,) = found.notes
-    assert note.startswith(
-        "forces never below 6.2 N: look whether the gauge shows 0 without a load; if it does not, all"
-    )
+    assert note.startswith("forces never below 6.2 N: if the gauge does not show 0 without a load, all of them are too")
     assert read(log("time s,force N\n0,1.9\n1,36.2\n2,66.2\n")).notes == ()
 
 

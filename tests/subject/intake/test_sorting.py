@@ -155,7 +155,10 @@ def test_bending_films_are_neither_at_rest_nor_a_push(exported):
              (("x", "102000"), ("y", "102030"))]  # fmt: skip
     sorting = sort_files(found)
     assert names(sorting) == (None, None, [])
-    why = "single frontal radiograph whose series is called a bending film, which has no force on the ribs"
+    why = (
+        "single frontal radiograph whose series is called a bending film, which has no force on the ribs; if it is at "
+        "rest name it with --frontal, if it shows a push in --pushes"
+    )
     assert sorting.reasons == {"x": why, "y": why}
     assert names(sort_files([*found, exported("z", time="103000")])) == ("z", None, [])
 
@@ -180,13 +183,28 @@ def test_a_frame_that_the_table_forgot_is_not_taken_for_the_one_at_rest(exported
     sorting = sort_files(found, table_of(tmp_path, found, *rows))
     assert names(sorting) == (None, None, [["p/0", "p/1", "p/2"]])
     assert sorting.reasons["p/3"] == (
-        "of the series of p/0, but in no row of the table of pushes; name it there or, if it is at rest, with --frontal"
+        "of the series of p/0 and after its beginning, but in no row of the table of pushes; name it there or, if it "
+        "is at rest, with --frontal"
     )
     # One that was taken before the push may be at rest, as one may that is called so.
     before = exported("r", time="101000", series="1.2.7")
     assert names(sort_files([*found[:3], before], table_of(tmp_path, found, *rows)))[0] == "r"
     called = exported("r", time="103000", series="1.2.7", SeriesDescription="standing")
     assert names(sort_files([*found[:3], called], table_of(tmp_path, found, *rows)))[0] == "r"
+
+
+def test_one_of_a_pushs_series_may_be_at_rest_where_it_can(exported, tmp_path):
+    """A lateral one, which no push has, and one whose time nothing tells, with a doubt."""
+    push = exported("p", frames=3, time="102000", series="1.2.7")
+    rows = [f"p,{i},{20 * i},left,8,400,66" for i in range(3)]
+    found = [push, exported("l", "lateral", time="103000", series="1.2.7"), exported("r", time=None, series="1.2.7")]
+    sorting = sort_files(found, table_of(tmp_path, found, *rows))
+    assert names(sorting) == ("r", "l", [["p"]])
+    doubt = "; but it is of a push's series, and nothing tells its time: check that it is at rest"
+    assert sorting.reasons["r"].endswith(doubt)
+    assert "check" not in sorting.reasons["l"]
+    found = [push, exported("o", time=None)]
+    assert "check" not in sort_files(found, table_of(tmp_path, found, *rows)).reasons["o"]
 
 
 def test_rows_of_the_table_that_are_no_push_are_refused(exported, tmp_path):

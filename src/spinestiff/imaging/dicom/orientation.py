@@ -86,10 +86,6 @@ def directions(tags: Tags, given: Geometry) -> Directions:
             raise RadiographError(
                 f"ViewPosition: found {tags.view_position}, wanted {side}L as the laterality says; correct either"
             )
-        if frontal and given.beam not in (None, tags.view_position):
-            raise RadiographError(
-                f"ViewPosition: found {tags.view_position}, wanted {given.beam} as xray.beam says; correct either"
-            )
         return Directions(column, row, towards, source, f"DICOM ViewPosition {tags.view_position}")
     if frontal and given.beam is not None:
         return Directions(column, row, BEAMS[given.beam], source, f"given as {given.beam}")

@@ -47,7 +47,7 @@ class ExportTags:
     study, series : hashes, only to be compared; "" if not told.
     moment : s of the exposure since the year 1, or since midnight; None if not told.
     view : what the words of the series call it, "frontal" or "lateral"; None if nothing, or both.
-    use : the same, "rest" or "push".
+    use : the same, "rest", "push" or "bending", a film of the patient bending to a side.
     age, age_source : years and the field that tells them. sex : "female" or "male".
     day : of the exposure, since the year 1; None if not told.
     description : of the study, in one line; to be shown to whoever chooses one, and kept nowhere.
@@ -84,7 +84,7 @@ def export_tags(dataset: Dataset) -> ExportTags:
     view = _either("frontal", bool(words & _FRONTAL), "lateral", sideways)
     use = _either("rest", bool(words & _REST), "push", bool(words & _PUSH))
     if words & _BENDING and not words & _PUSH:
-        use = "bending"
+        use = _either("rest", bool(words & _REST), "bending", True)
     age, source = _age(dataset)
     sex = {"F": "female", "M": "male"}.get(told(dataset, "PatientSex").upper())
     study, series = (told(dataset, key) for key in ("StudyInstanceUID", "SeriesInstanceUID"))

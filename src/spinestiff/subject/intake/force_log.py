@@ -340,8 +340,8 @@ def _magnitudes(path: Path, times: Floats, forces: Floats, notes: list[str]) -> 
     if least > NEVER_BELOW_N:
         notes = [
             *notes,
-            f"forces never below {least:.1f} N: look whether the gauge shows 0 without a load; if it does not, all "
-            "forces are too large by as much, and else no frame is without force",
+            f"forces never below {least:.1f} N: if the gauge does not show 0 without a load, all of them are too large "
+            "by as much; if the log begins under load, it tells no frame without force",
         ]
     return ForceLog(times, np.maximum(forces, 0.0), tuple(notes))
 

@@ -206,7 +206,7 @@ def _geometry(data: Mapping[str, Any], image: str) -> Geometry:
     return Geometry(
         own.source_detector_mm, own.source_patient_mm, own.imager_pixel_mm,
         usual if xray.orientation == "standard" else None,  # type: ignore[arg-type]
-        None, xray.beam if usual == "frontal" else None,
+        None, own.beam if usual == "frontal" else None,
     )  # fmt: skip
 
 

@@ -136,7 +136,7 @@ def sort_files(
     left = [one for one in rest if one.name not in taken]
     singles = [one for one in left if one.frames == 1]
     if table is not None:
-        forgotten = _of_a_push(singles, pushes)
+        forgotten = _forgotten(singles, pushes)
         reasons |= forgotten
         singles = [one for one in singles if one.name not in forgotten]
     chosen = {"frontal": frontal, "lateral": lateral}
@@ -154,8 +154,15 @@ def sort_files(
             chosen[view] = alike[0]
             reasons[alike[0].name] = f"{_looks(alike[0])}; a suggestion, since nothing states its view: look at it"
         rest_view = chosen[view]
-        if rest_view is not None and rest_view.looks is not None and rest_view.looks.view != view:
+        if rest_view is None:
+            continue
+        if rest_view.looks is not None and rest_view.looks.view != view:
             reasons[rest_view.name] += f"; but it {_looks(rest_view)}: check that it is the {view} one"
+        found_here = view == "frontal" and frontal is None and table is not None
+        if found_here and rest_view.tags.moment is None and _of_its_series(rest_view, pushes):
+            reasons[rest_view.name] += (
+                "; but it is of a push's series, and nothing tells its time: check that it is at rest"
+            )
     for one in left:
         if one.name not in reasons:
             reasons[one.name] = _left_out(one, table is not None)
@@ -270,7 +277,8 @@ def _at_rest(mine: Sequence[Exported], view: str) -> tuple[Exported | None, str]
 
 def _another(one: Exported, view: str, chosen: Exported | None) -> str:
     if one.tags.use == "bending":
-        return f"single {view} radiograph whose series is called a bending film, which has no force on the ribs"
+        rest = f"if it is at rest name it with --{view}, if it shows a push in --pushes"
+        return f"single {view} radiograph whose series is called a bending film, which has no force on the ribs; {rest}"
     if chosen is None and one.tags.use == "push":
         return f"single {view} radiograph whose series is called a push; name it in --pushes"
     if chosen is None:
@@ -282,19 +290,30 @@ def _another(one: Exported, view: str, chosen: Exported | None) -> str:
     return f"single lateral radiograph {when} the one at rest"
 
 
-def _of_a_push(singles: Sequence[Exported], pushes: Sequence[PushFiles]) -> dict[str, str]:
-    """Why those are left out that are of a push's series and not taken before it, though no row names them."""
+def _forgotten(singles: Sequence[Exported], pushes: Sequence[PushFiles]) -> dict[str, str]:
+    """Why frontal ones are not taken for the one at rest that are of a push's series and of after its beginning: no row
+    of the table names them."""
     found = {}
-    for push in pushes:
-        first = push.files[0].tags
-        for one in singles:
-            before = None not in (one.tags.moment, first.moment) and one.tags.moment < first.moment  # type: ignore[operator]
-            if first.series and one.tags.series == first.series and one.tags.use != "rest" and not before:
+    for one in singles:
+        for push in _of_its_series(one, pushes):
+            moments = [file.tags.moment for file in push.files]
+            known = [moment for moment in moments if moment is not None]
+            late = one.tags.moment is not None and len(known) == len(moments) and one.tags.moment > min(known)
+            if late and one.tags.use != "rest" and not _is_lateral(one):
                 found[one.name] = (
-                    f"of the series of {push.files[0].name}, but in no row of the table of pushes; name it there or, "
-                    f"if it is at rest, with --{one.view or 'frontal'}"
+                    f"of the series of {push.files[0].name} and after its beginning, but in no row of the table of "
+                    "pushes; name it there or, if it is at rest, with --frontal"
                 )
     return found
+
+
+def _of_its_series(one: Exported, pushes: Sequence[PushFiles]) -> list[PushFiles]:
+    return [push for push in pushes if one.tags.series and one.tags.series in {file.tags.series for file in push.files}]
+
+
+def _is_lateral(one: Exported) -> bool:
+    """Whether it states so; words of a series are no more than words."""
+    return one.view == "lateral" and one.view_source != SERIES_WORDS
 
 
 def _left_out(one: Exported, has_table: bool) -> str:
@@ -311,13 +330,13 @@ def _ordered(push: TablePush) -> PushFiles:
     row = next(iter(push.rows.values()))
     where = f"row {row.line} of the table of pushes"
     for one in push.files:
-        # Words of a series are no more than words.
-        if one.view == "lateral" and one.view_source != SERIES_WORDS:
+        if _is_lateral(one):
             raise SubjectError(f"{where}: {one.name}: {_seen(one)}; pushes are seen from the front")
     if len(push.files) == 1 and push.files[0].frames == 1 and row.force_n == 0.0:
         raise SubjectError(
-            f"{where}: {push.files[0].name} is one radiograph without force, and no push; if it is the one at rest, "
-            "leave the row out and name it with --frontal"
+            f"{where}: {push.files[0].name} is one radiograph without force, and no push; if it is a push's frame, "
+            "give it that push's name (column push), if it is the one at rest, leave the row out and name it with "
+            "--frontal"
         )
     try:
         files = _in_time(push.files) if len(push.files) > 1 else push.files
