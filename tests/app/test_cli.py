@@ -69,6 +69,7 @@ COMMANDS = {
         "--source-patient",
         "--imager-pixel",
         "--orientation",
+        "--beam",
         "--no-questions",
     ),
     "inspect": ("--json",),

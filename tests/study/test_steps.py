@@ -236,7 +236,7 @@ def test_a_failed_check_makes_the_estimate_doubtful(subject, finished):
     for name, patient in (("rest/frontal", 1), ("rest/lateral", 1), ("pushes/main", 2), ("pushes/second", 1)):
         dataset = pydicom.dcmread(subject / f"{name}.dcm")
         dataset.PatientID, dataset.PatientIdentityRemoved = f"{CANARY}{patient}", "NO"
-        dataset.PatientName = f"{CANARY}^{number}"
+        dataset.PatientName = f"{CANARY}^{patient}"
         dataset.save_as(subject / f"{name}.dcm")
     visit = open_visit(subject)
     geometry = read_outcome(visit.subject, GeometryRecord)
