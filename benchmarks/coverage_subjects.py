@@ -159,6 +159,35 @@ class Subject:
     tracked: Mapping[str, TrackedPush]
 
 
+@dataclass(frozen=True)
+class PushedPerson:
+    """A person under all pushes of a visit, before anything is seen of them but at rest.
+
+    Attributes
+    ----------
+    height_cm, age, sex, cobb_deg, ratios, kind : as ``Subject`` has them, the height not rounded.
+    nominal : view name -> where source and detector are told to be.
+    rest : the annotated corners there, with these views. stood : the views in which the patient truly stood.
+    records : the pushes as told. states : of each, one a frame.
+    random : what the rest of the visit is drawn with. hand : another annotator's errors; None: of ``random``.
+    """
+
+    sex: Literal["female", "male"]
+    age: float
+    height_cm: float
+    cobb_deg: float
+    ratios: Mapping[str, float]
+    kind: str
+    torso: TorsoModel
+    nominal: Mapping[str, XRayView]
+    rest: Mapping[str, tuple[VertebraCorners, XRayView]]
+    stood: Mapping[str, XRayView]
+    records: tuple[PushRecord, ...]
+    states: Mapping[str, list[TorsoState]]
+    random: np.random.Generator
+    hand: np.random.Generator | None
+
+
 def make_subject(
     seed: int,
     acquisition: Acquisition | Mapping[str, PlacedPush],
@@ -167,7 +196,35 @@ def make_subject(
     annotator: int = 0,
     ratios: Mapping[str, float] | None = None,
 ) -> Subject:
-    """The subject of a seed, at a visit, as an annotator marks the radiographs.
+    """The subject of a seed, at a visit, as an annotator marks the radiographs; see ``pushed_person``."""
+    person = pushed_person(seed, acquisition, nodes, visit, annotator, ratios)
+    drag = drawn_drag(np.random.default_rng([23, seed, visit]))
+    tracked = {
+        push.id: tracked_push(
+            person.torso,
+            person.nominal["frontal"],
+            person.states[push.id],
+            list(push.forces_n),
+            ANNOTATION_MM,
+            drag,
+            person.random,
+            person.hand,
+        )
+        for push in person.records
+    }
+    told = (seed, round(person.height_cm, 0), person.age, person.sex, person.cobb_deg, person.ratios, person.kind)
+    return Subject(*told, person.rest, person.records, tracked)
+
+
+def pushed_person(
+    seed: int,
+    acquisition: Acquisition | Mapping[str, PlacedPush],
+    nodes: int | None = 3000,
+    visit: int = 0,
+    annotator: int = 0,
+    ratios: Mapping[str, float] | None = None,
+) -> PushedPerson:
+    """The person of a seed, at a visit, under all pushes, and an annotator's marks in the rest radiographs.
 
     Each visit follows one protocol: the ribs that are aimed at, and the force, are those of the first.
     Pushes of one's own make a later visit (``visit`` from 1 on): so the person is the same whatever they are. All
@@ -255,27 +312,24 @@ def make_subject(
             raise EquilibriumError(
                 f"subject {seed}: bends by more than {np.rad2deg(MOST_TILT):.0f} degrees under any push"
             )
-    drag = drawn_drag(np.random.default_rng([23, seed, visit]))
-    records, tracked = [], {}
-    for push in own.levels:
-        frames = pushes[push].frames
-        told = [round(share * forces[push], 1) for share, _ in frames]
-        tracked[push] = tracked_push(
-            torso, nominal["frontal"], states[push], told, ANNOTATION_MM, drag, again if visit else random, hand
+    records = [
+        PushRecord(
+            id=push,
+            side=sides[push],
+            level=round(own.levels[push], 1),
+            d21_mm=400.0,
+            d31_mm=200.0,
+            frames=push,
+            forces_n=tuple(round(share * forces[push], 1) for share, _ in pushes[push].frames),
+            roles=tuple(role for _, role in pushes[push].frames),
         )
-        records.append(
-            PushRecord(
-                id=push,
-                side=sides[push],
-                level=round(own.levels[push], 1),
-                d21_mm=400.0,
-                d31_mm=200.0,
-                frames=push,
-                forces_n=tuple(told),
-                roles=tuple(role for _, role in frames),
-            )
-        )
-    return Subject(seed, round(height, 0), age, sex, float(cobb), ratios, kind, own.rest, tuple(records), tracked)
+        for push in own.levels
+    ]
+    next_random = again if visit else random
+    return PushedPerson(
+        sex, age, height, float(cobb), ratios, kind, torso, nominal, own.rest, own.stood, tuple(records), states,
+        next_random, hand,
+    )  # fmt: skip
 
 
 def seen_by(subject: Subject, mesh: Mesh) -> PushSet:
@@ -308,10 +362,11 @@ def _body(seed: int, nodes: int | None) -> _Body:
 
 @dataclass(frozen=True)
 class _DrawnVisit:
-    """What is drawn anew at each visit: annotated rest radiographs, largest force as told, told level and what is wrong
-    of each push, how far the supports give."""
+    """What is drawn anew at each visit: annotated rest radiographs with their nominal views, where the patient stood
+    for them, largest force as told, told level and what is wrong of each push, how far the supports give."""
 
     rest: Mapping[str, tuple[VertebraCorners, XRayView]]
+    stood: Mapping[str, XRayView]
     force: float
     levels: Mapping[str, float]
     acts: Mapping[str, Floats]
@@ -349,9 +404,10 @@ def _drawn_visit(
     random: np.random.Generator,
     hand: np.random.Generator | None,
 ) -> _DrawnVisit:
-    rest = {}
+    rest, stood = {}, {}
     for name, view in nominal.items():
-        corners = projected(torso, standing(view, random, lateral=name == "lateral"), torso.rest_pose)
+        stood[name] = standing(view, random, lateral=name == "lateral")
+        corners = projected(torso, stood[name], torso.rest_pose)
         wrong = random.normal(0.0, ANNOTATION_MM * view.magnification, corners.shape)
         if hand is not None:
             wrong = hand.normal(0.0, ANNOTATION_MM * view.magnification, corners.shape)
@@ -365,7 +421,7 @@ def _drawn_visit(
         sizes = (p.force_scale, p.force_offset_n, angle, angle, p.push_height_mm, p.push_depth_mm)
         acts[: len(sizes)] = random.normal(0.0, sizes)
         found[push] = acts
-    return _DrawnVisit(rest, force, levels, found, drawn_supports(random))
+    return _DrawnVisit(rest, stood, force, levels, found, drawn_supports(random))
 
 
 def _true_torso(
