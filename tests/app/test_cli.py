@@ -61,6 +61,7 @@ COMMANDS = {
         "--log",
         "--log-columns",
         "--log-units",
+        "--log-rate",
         "--log-offset",
         "--study",
         "--frontal",

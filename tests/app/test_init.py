@@ -272,6 +272,8 @@ def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path,
         (("--log-offset", "push-1=3"), "--log-offset: belongs to a --log of the same push"),
         (("--log-units", "s,N"), "--log-units: belongs to a --log; give both"),
         (("--log-columns", "t,F"), "--log-columns: belongs to a --log; give both"),
+        (("--log-rate", "10"), "--log-rate: belongs to a --log; give both"),
+        (("--log-rate", "0"), "--log-rate 0: wanted 0.1 to 100000 Hz"),
         (("--mass", 0), "--mass 0: wanted above 0 and at most 300 kg"),
         (("--trunk", "T9"), "--trunk T9: wanted LEVEL=BREADTH,DEPTH, a vertebra from T1 to L5 and mm, e.g. T9=245,172"),
         (("--trunk", "T19=245,172"), "--trunk T19=245,172: wanted LEVEL=BREADTH,DEPTH"),
@@ -502,6 +504,30 @@ def test_a_log_is_put_beside_the_frames_by_their_motion_and_shown(spinestiff, lo
         float(row["force_low_n"]) <= f + 0.6 and f - 0.6 <= float(row["force_high_n"]) for row, f in zip(rows, true)
     ] == [True] * 30
     assert "SubjectGaps" not in done.err and "open still" not in done.out
+
+
+def test_a_log_without_times_is_put_beside_by_its_rate(spinestiff, logged):
+    folder, true = logged
+    untimed = folder / "untimed.csv"
+    lines = (folder / "gauge.csv").read_text().splitlines()
+    (start,) = (i for i, line in enumerate(lines) if line.startswith("Time (ms)"))
+    forces = [line.split(";")[1] for line in lines[start:]]
+    untimed.write_text("\n".join(forces) + "\n")
+    log = (folder / "in", "--log", untimed, *PERSON, *SITE)
+    done = spinestiff("init", folder / "girl", *log)
+    assert done.status == 2 and "found no header of fields between commas" in done.err
+    done = spinestiff("init", folder / "girl", *log, "--log-rate", 50)
+    assert done.status == 0, done.err
+    assert "entries 50 a second, force in column 'Load (kgf)' (kgf)" in done.out
+    np.testing.assert_allclose(read_unannotated(folder / "girl").pushes[0].forces_n, true, atol=2.5)
+    untimed.write_text("\n".join(["Load", *forces[1:]]) + "\n")
+    log = ("init", folder / "other", *log, "--log-rate", 50)
+    assert "column 'Load' tells no unit" in spinestiff(*log).err
+    assert "--log-units s,kgf,N: wanted s,N or N" in spinestiff(*log, "--log-units", "s,kgf,N").err
+    assert "--log-columns ,: wanted TIME,FORCE or FORCE" in spinestiff(*log, "--log-columns", ",").err
+    done = spinestiff(*log, "--log-units", "kgf", "--log-columns", "load")
+    assert done.status == 0, done.err
+    np.testing.assert_allclose(read_unannotated(folder / "other").pushes[0].forces_n, true, atol=2.5)
 
 
 def test_a_log_without_an_offset_leaves_the_forces_open_until_it_is_given(spinestiff, logged):

@@ -57,6 +57,7 @@ class Asked:
     given : values. identifier : of the subject.
     table : of pushes. study, frontal, lateral : which radiographs.
     logs, offsets : "FILE" or "PUSH=FILE", "SECONDS" or "PUSH=SECONDS". columns, units : of logs, "TIME,FORCE".
+    rate_hz : of logs without times, entries a second; with it columns and units may be those of the force alone.
     may_ask : on a terminal.
     """
 
@@ -70,6 +71,7 @@ class Asked:
     offsets: tuple[str, ...] = ()
     columns: str | None = None
     units: str | None = None
+    rate_hz: float | None = None
     may_ask: bool = False
 
 
@@ -166,7 +168,11 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
     logs, offsets = _by_push(asked.logs, work, "--log"), _by_push(asked.offsets, work, "--log-offset")
     if set(offsets) - set(logs):
         raise OptionError("--log-offset: belongs to a --log of the same push; give both")
-    for option, given in (("--log-columns", asked.columns), ("--log-units", asked.units)):
+    for option, given in (
+        ("--log-columns", asked.columns),
+        ("--log-units", asked.units),
+        ("--log-rate", asked.rate_hz),
+    ):
         if given is not None and not logs:
             raise OptionError(f"{option}: belongs to a --log; give both")
     said = {number: _read_log(work, number, Path(text), offsets.get(number), asked) for number, text in logs.items()}
@@ -252,14 +258,15 @@ def _ask_offset(logged: Logged, name: str) -> Logged:
 
 
 def _log(path: Path, asked: Asked) -> tuple[ForceLog, str]:
-    names = None if asked.columns is None else _pair(asked.columns, "--log-columns", "TIME,FORCE")
-    columns = find_columns(path, names)
+    timed = asked.rate_hz is None
+    names = None if asked.columns is None else _pair(asked.columns, "--log-columns", "TIME,FORCE", timed)
+    columns = find_columns(path, names, asked.rate_hz)
     if asked.units is not None:
-        time, force = _pair(asked.units, "--log-units", "s,N")
-        for unit, known in ((time, TIME_UNITS), (force, FORCE_UNITS)):
+        units = _pair(asked.units, "--log-units", "s,N", timed)
+        for unit, known in zip(reversed(units), (FORCE_UNITS, TIME_UNITS)):
             if unit not in known:
                 raise OptionError(f"--log-units {asked.units[:40]}: found {unit[:20]!r}, wanted {', '.join(known)}")
-        columns = with_units(columns, path, time, force)
+        columns = with_units(columns, path, units[0] if timed else None, units[-1])
     elif asked.may_ask:
         time_unit, force_unit = columns.time_unit, columns.force_unit
         if time_unit is None:
@@ -283,11 +290,12 @@ def _ask_unit(path: Path, column: str, known: dict[str, float]) -> str | None:
     return questions.asked(f"{path.name}: unit of column '{column}', {' or '.join(known)}", read)
 
 
-def _pair(text: str, option: str, wanted: str) -> tuple[str, str]:
+def _pair(text: str, option: str, wanted: str, both: bool) -> tuple[str, str] | tuple[str]:
+    """Of time and force, or, but for ``both``, of the force alone."""
     parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 2 or not all(parts):
-        raise OptionError(f"{option} {text[:40]}: wanted {wanted}")
-    return parts[0], parts[1]
+    if not all(parts) or not (len(parts) == 2 or (len(parts) == 1 and not both)):
+        raise OptionError(f"{option} {text[:40]}: wanted {wanted}{'' if both else ' or ' + wanted.partition(',')[2]}")
+    return (parts[0], parts[1]) if len(parts) == 2 else (parts[0],)
 
 
 def _seconds(text: str) -> float:
@@ -412,8 +420,8 @@ def _log_lines(name: str, logged: Logged) -> Iterator[str]:
     match = logged.match
     if logged.doubt:
         yield f"log of {push_named(name)}: {logged.doubt}: check the forces"
-    if logged.untold:
-        yield f"log of {push_named(name)}: {logged.untold}: it stays open"
+    for line in logged.untold:
+        yield f"log of {push_named(name)}: {line}: left open; the others are filled in"
     if not logged.placed:
         yield (
             f"log of {push_named(name)}: where it begins is not determined: {match.why}; give the log's time at the "

@@ -281,6 +281,13 @@ def level_limits() -> tuple[float, float]:
     return LEVELS
 
 
+def rate_limits() -> tuple[float, float]:
+    """Hz, of a force log."""
+    from spinestiff.subject.intake.force_log import RATES_HZ
+
+    return RATES_HZ
+
+
 def distance_limits() -> tuple[float, float]:
     """mm, between supports and push."""
     from spinestiff.subject.records import DISTANCES_MM

@@ -63,7 +63,7 @@ def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> di
     picture = as_png(draw_log(push_named(push.id), log, match, logged.times_s, logged.motion))
     return {
         "columns": columns.words,
-        "notes": [*log.notes, *filter(None, [against, logged.doubt, logged.untold])],
+        "notes": [*log.notes, *filter(None, [against, logged.doubt, *logged.untold])],
         "placed": logged.placed,
         "forces_n": logged.forces_n if logged.placed else None,
         "given": match.given,

@@ -252,3 +252,68 @@ def test_a_gauge_that_writes_changes_alone_tells_the_force_between_them():
     log = ForceLog(times, [0.0, 0.0, 20.0, 40.0, 60.0, 60.0, 30.0, 0.0, 0.0])
     asked = np.array([2.5, 5.15, 7.0, 12.0, 16.0])
     np.testing.assert_array_equal(log.told(asked), log.at(asked))
+
+
+SAUTER = "Nr;Messwert;Einheit;Datum;Uhrzeit\n1;0,0;N;26.11.2026;14:03:01,2\n2;12,5;N;26.11.2026;14:03:01,7\n"
+
+
+def test_a_log_whose_units_stand_in_a_column_of_their_own(log):
+    path = log(SAUTER)
+    columns = find_columns(path)
+    assert (columns.time, columns.force, columns.force_unit, columns.clock) == ("Uhrzeit", "Messwert", "N", True)
+    np.testing.assert_allclose(read(path).times_s, [0.0, 0.5])
+    np.testing.assert_allclose(read(path).forces_n, [0.0, 12.5])
+    np.testing.assert_allclose(read(log(SAUTER.replace(";N;", ";kgf;"))).forces_n, [0.0, 12.5 * 9.80665])
+    other = log(SAUTER.replace("12,5;N", "12,5;kgf"))
+    with pytest.raises(SubjectError, match="line 3: a force in 'kgf', wanted N as in the first entry"):
+        read(other)
+    with pytest.raises(SubjectError, match="column 'Messwert' tells no unit; give --log-units s,N"):
+        read(log(SAUTER.replace(";N;", ";kg;")))
+
+
+@pytest.mark.parametrize("header", ["Dauer [s],Messwert [N]", "Laufzeit (s),Peak N", "Zeit s,Wert\ns,N"])
+def test_a_column_of_another_name_is_told_by_its_unit(log, header):
+    np.testing.assert_allclose(read(log(f"{header}\n0,0\n1,2\n")).forces_n, [0.0, 2.0])
+
+
+def test_a_column_that_says_force_goes_before_one_that_has_its_unit(log):
+    assert find_columns(log("time s,n,Force N,Peak N\n0,1,0,9\n1,2,4,9\n")).force == "Force N"
+    with pytest.raises(SubjectError, match="several columns of force: 'n', 'Messwert N'"):
+        find_columns(log("time s,n,Messwert N\n0,1,0\n1,2,4\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "times", "words"),
+    [
+        ("Load (N)\n0\n5\n7\n", None, [0.0, 0.1, 0.2], "entries 10 a second, force in column 'Load (N)' (N)"),
+        ("Sample,Load (N)\n4,0\n5,5\n7,7\n", None, [0.4, 0.5, 0.7], "entries numbered in column 'Sample', 10 a second"),
+        (
+            "a,b (N),c (N)\n4,0,9\n5,5,9\n7,7,9\n",
+            ("b (N)",),
+            [0.0, 0.1, 0.2],
+            "entries 10 a second, force in column 'b",
+        ),
+        ("a,b,c\ns,N,N\n4,0,9\n5,5,9\n7,7,9\n", ("a", "b"), [0.4, 0.5, 0.7], "entries numbered in column 'a'"),
+    ],
+)
+def test_a_log_without_times_has_a_rate(log, text, names, times, words):
+    path = log(text)
+    columns = find_columns(path, names, 10.0)
+    assert columns.words.startswith(words)
+    found = read_force_log(path, columns)
+    np.testing.assert_allclose(found.times_s, times)
+    np.testing.assert_allclose(found.forces_n, [0.0, 5.0, 7.0])
+
+
+def test_a_log_without_times_is_told_what_it_lacks(log):
+    path = log("Sample,Load (N)\n4,0\n5,5\n")
+    with pytest.raises(
+        SubjectError, match=r"wanted columns of time and force; .*no times but a steady rate, give --log"
+    ):
+        find_columns(path)
+    with pytest.raises(SubjectError, match=r"wanted a column of force; name them as it does with --log-columns FORCE$"):
+        find_columns(log("Sample,Weg\n4,0\n5,5\n"), rate_hz=10.0)
+    with pytest.raises(SubjectError, match="line 3: the time does not grow"):
+        read_force_log(path, find_columns(log("Sample,Load (N)\n4,0\n4,5\n"), rate_hz=10.0))
+    with pytest.raises(SubjectError, match="line 3: found 'x', wanted a number of force"):
+        read_force_log(path, find_columns(log("Load (N)\n4\nx\n"), rate_hz=10.0))

@@ -9,6 +9,7 @@ import pytest
 
 from spinestiff.subject.intake.force_log import ForceLog
 from spinestiff.subject.intake.log_match import given_offset, match_log, outside
+from spinestiff.subject.intake.logged import Logged
 
 PEAK_N = 58.0
 
@@ -100,6 +101,20 @@ def test_a_release_and_a_rise_are_told_apart_or_both_left_open():
     assert not found.determined and "is possible, which leaves a frame's force open" in found.why
     assert re.search(r"open by ± \d+\.\d N, wanted ± \d+\.\d N or less$", found.why)
     assert found.low_s < 4.0 < 10.0 < found.high_s
+
+
+def test_a_frame_of_which_the_offset_leaves_the_force_open_is_left_out_alone():
+    """A frame of a second in which the force rises by 40 N a second, among others that lie on plateaus."""
+    rng = np.random.default_rng(6)
+    times = np.arange(0.0, 20.0, 0.02)
+    log = ForceLog(times, np.interp(times, [0.0, 5.0, 6.0, 9.0, 9.4, 20.0], [0.0, 0.0, 40.0, 40.0, 60.0, 60.0]))
+    seen = np.array([0.0, 1.0, 2.5, 3.4, 4.0, 5.0, 7.0, 8.0])
+    found = match_log(log, seen, moved(log, seen + 3.0, 0.02, rng))
+    assert found.determined and found.uncertain == (2,) and np.isnan(found.forces_n[2])
+    assert found.forces_high_n[2] - found.forces_low_n[2] > 12.0 > 2.0 * found.open_n
+    np.testing.assert_allclose(np.delete(found.forces_n, 2), [0, 0, 40, 40, 40, 60, 60])
+    (words,) = Logged(log, seen, seen, found).untold
+    assert re.match(r"the offset, from 2\.\d+ to 3\.\d+ s, leaves the force of frame 2 open by up to ± \d+ N$", words)
 
 
 def test_a_flat_log_a_still_picture_and_few_frames_are_not_matched():

@@ -19,6 +19,7 @@ from spinestiff.app.options import (
     offering,
     oldest_limits,
     pixel_limits,
+    rate_limits,
     source_limits,
     stature_limits,
     upload_limits,
@@ -80,9 +81,17 @@ def init(
     log: Annotated[
         list[str] | None, typer.Option(help="Force log of a push: FILE, or PUSH=FILE where there are several pushes.")
     ] = None,
-    log_columns: Annotated[str | None, typer.Option(help="Names of the logs' columns: TIME,FORCE.")] = None,
+    log_columns: Annotated[
+        str | None, typer.Option(help="Names of the logs' columns: TIME,FORCE; with --log-rate FORCE alone will do.")
+    ] = None,
     log_units: Annotated[
         str | None, typer.Option(help="Units of the logs: s or ms, then N, kgf or lbf, e.g. s,N.")
+    ] = None,
+    log_rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ", callback=within("Hz", rate_limits), help="Entries a second, of logs that have no times."
+        ),
     ] = None,
     log_offset: Annotated[
         list[str] | None,
@@ -143,7 +152,7 @@ def init(
     )
     given = Given(told, of_pushes, of_all, lengths, by_level("--trunk", trunk or ()))
     asked = Asked(given, id, pushes, study, frontal, lateral, tuple(log or ()), tuple(log_offset or ()), log_columns,
-                  log_units, not no_questions and on_terminal())  # fmt: skip
+                  log_units, log_rate, not no_questions and on_terminal())  # fmt: skip
     make_subject(out, sources or [], asked)
 
 

@@ -22,8 +22,26 @@ from spinestiff.words import printable
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
 FORCE_UNITS = {"N": 1.0, "kgf": 9.80665, "lbf": 4.4482216152605}
 """Factors to s and N (BIPM SI Brochure; the avoirdupois pound under standard gravity)."""
-_TIME_WORDS = {"time", "t", "zeit", "temps", "tiempo", "elapsed", "timestamp"}
+_TIME_WORDS = {
+    "time",
+    "t",
+    "zeit",
+    "uhrzeit",
+    "zeitstempel",
+    "temps",
+    "heure",
+    "tiempo",
+    "hora",
+    "elapsed",
+    "timestamp",
+}
 _FORCE_WORDS = {"force", "f", "load", "kraft", "last", "fuerza"}
+_VALUE_WORDS = {"messwert", "reading", "value", "wert", "valeur", "valor"}
+"""Of a force, where no column's name says force or has its unit."""
+_UNIT_WORDS = {"unit", "units", "einheit", "unité", "unidad"}
+"""Of a column that tells the unit of each value."""
+_COUNT_WORDS = {"sample", "samples", "index", "number", "no", "nr", "nummer", "point"}
+"""Of a column that numbers the entries."""
 _TIME_NAMES = {**dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
                **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms")}  # fmt: skip
 _FORCE_NAMES = {**dict.fromkeys(("n", "newton", "newtons"), "N"), **dict.fromkeys(("kgf", "kp"), "kgf"), "lbf": "lbf"}
@@ -58,6 +76,9 @@ GAP_S, GAP_STEPS = 0.5, 10.0
 """Entries farther apart than both leave a gap, of which a log tells a force only if it is the same on both sides."""
 SAME_N = 2.0
 """Forces that differ by less are the same on both sides of a gap."""
+NO_TIMES = ", or, if the log has no times but a steady rate, give --log-rate HZ"
+RATES_HZ = (0.1, 100_000.0)
+"""Entries a second that a log may have."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +90,8 @@ class LogColumns:
     time, force : names of the columns. time_unit, force_unit : of ``TIME_UNITS`` and ``FORCE_UNITS``; None if not told.
     header : line of the header, from 1. at : positions of both columns. separator : of fields.
     first : line of the first row of numbers. fields : in the header. clock : times are times of day.
+    rate_hz : entries a second, of a log without times: column ``time`` numbers them, or, if it is "", their order does.
+    unit_at : position of a column with the unit of each force; None: there is none, or it is not needed.
     """
 
     time: str
@@ -81,13 +104,18 @@ class LogColumns:
     first: int
     fields: int
     clock: bool = False
+    rate_hz: float | None = None
+    unit_at: int | None = None
 
     @property
     def words(self) -> str:
         """What was found."""
         time, force = (unit or "unit not told" for unit in (self.time_unit, self.force_unit))
-        time = "times of day" if self.clock else time
-        return f"time in column {_shown(self.time)} ({time}), force in column {_shown(self.force)} ({force})"
+        time = f"time in column {_shown(self.time)} ({'times of day' if self.clock else time})"
+        if self.rate_hz is not None:
+            count = f"numbered in column {_shown(self.time)}, " if self.time else ""
+            time = f"entries {count}{self.rate_hz:g} a second"
+        return f"{time}, force in column {_shown(self.force)} ({force})"
 
 
 @dataclass(frozen=True)
@@ -127,28 +155,38 @@ class ForceLog:
         return np.where(untold, np.nan, self.at(times_s))
 
 
-def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns:
+def find_columns(
+    path: Path, names: tuple[str, str] | tuple[str] | None = None, rate_hz: float | None = None
+) -> LogColumns:
     """The columns of time and force in a log.
 
     Parameters
     ----------
-    names : of both columns, where the header does not tell or has several.
+    names : of both columns, where the header does not tell or has several; with ``rate_hz`` of the entries' numbers and
+        of the force, or of the force alone.
+    rate_hz : entries a second, of a log without times.
 
     Raises
     ------
-    SubjectError : no header with a column of time and one of force, or several; a unit that is not read.
+    SubjectError : no header with a column of time (but with ``rate_hz``) and one of force, or several; a unit that is
+        not read.
     """
+    counted = rate_hz is not None
     lines = read_exported_text(path).splitlines()
     no_numbers = ""
     best: tuple[str, str] | None = None
+    untimed = False
     for number, line in enumerate(lines[:LAST_HEADER]):
+        # The force may be the only column of a log without times.
+        fewest = 1 if counted and all(len(_cells(line, separator)) == 1 for separator in SEPARATORS) else 2
         for separator in SEPARATORS:
             cells = _cells(line, separator)
-            if len(cells) < 2 or all(_number(cell, separator) is not None for cell in cells):
+            if len(cells) < fewest or all(_number(cell, separator) is not None for cell in cells):
                 continue
             best = best or (separator, line)
-            times, forces = _matching(cells, names)
-            if not times or not forces:
+            times, forces = _matching(cells, names, counted)
+            untimed = untimed or bool(forces and not times and len(cells) > 1)
+            if not forces or not (times or (counted and (names is None or len(names) == 1))):
                 continue
             if not _numbers_follow(lines[number + 1 :], times, forces, separator):
                 below = next((one for one in lines[number + 1 :] if one.strip(separator + " \t")), "")
@@ -161,13 +199,16 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
                     f"{', '.join(_shown(cells[i]) for i in (times if len(times) > 1 else forces))}; give --log-columns "
                     "TIME,FORCE"
                 )
-            return _with_units(path, lines, number, cells, (times[0], forces[0]), separator)
+            at = (times[0] if times else -1, forces[0])
+            return _with_units(path, lines, number, cells, at, separator, rate_hz)
     if no_numbers:
         raise SubjectError(
             f"{path}: {no_numbers}, wanted numbers of time (or a time of day, h:mm:ss) and force in one of the two "
             "lines below it"
         )
-    wanted = "columns of time and force" if names is None else f"columns '{names[0]}' and '{names[1]}'"
+    wanted = "a column of force" if counted else "columns of time and force"
+    if names is not None:
+        wanted = f"column{'s' if len(names) > 1 else ''} {' and '.join(_shown(name) for name in names)}"
     if best is None:
         raise SubjectError(
             f"{path}: found no header of fields between commas, semicolons or tabs, wanted {wanted}; write a line such "
@@ -175,16 +216,16 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
         )
     raise SubjectError(
         f"{path}: found the header {_shown(best[1])}, wanted {wanted}; name them as it does with --log-columns "
-        "TIME,FORCE"
+        f"{'FORCE' if counted else 'TIME,FORCE'}{NO_TIMES if untimed and not counted else ''}"
     )
 
 
 def _numbers_follow(below: list[str], times: list[int], forces: list[int], separator: str) -> bool:
-    """Whether one of the next two lines has numbers of time and force; one may hold the units."""
+    """Whether one of the next two lines has numbers of time, if there is one, and force; one may hold the units."""
     full = (line for line in below if line.strip(separator + " \t"))
     for line in islice(full, 2):
         cells = dict(enumerate(_cells(line, separator)))
-        if any(_time(cells.get(i, ""), separator) is not None for i in times) and any(
+        if (not times or any(_time(cells.get(i, ""), separator) is not None for i in times)) and any(
             _number(cells.get(i, ""), separator) is not None for i in forces
         ):
             return True
@@ -192,23 +233,32 @@ def _numbers_follow(below: list[str], times: list[int], forces: list[int], separ
 
 
 def _with_units(
-    path: Path, lines: list[str], number: int, cells: list[str], at: tuple[int, int], separator: str
+    path: Path,
+    lines: list[str],
+    number: int,
+    cells: list[str],
+    at: tuple[int, int],
+    separator: str,
+    rate_hz: float | None,
 ) -> LogColumns:
     units: list[str | None] = []
     first = number + 1
     below = _cells(lines[first], separator) if first < len(lines) else []
     # Some gauges write the units in a line of their own.
     has_row = (
-        len(below) > max(at) and _time(below[at[0]], separator) is None and _number(below[at[1]], separator) is None
+        len(below) > max(at)
+        and (at[0] < 0 or _time(below[at[0]], separator) is None)
+        and _number(below[at[1]], separator) is None
     )
     first += 1 + has_row
     entries = (_cells(line, separator) for line in lines[first - 1 :])
-    clock = any(_clock(entry[at[0]]) is not None for entry in islice((e for e in entries if len(e) > max(at)), 1))
+    entry = next((one for one in entries if len(one) > max(at)), None)
+    clock = rate_hz is None and entry is not None and _clock(entry[at[0]]) is not None
     for i, known, others in zip(at, (_TIME_NAMES, _FORCE_NAMES), (_OTHER_TIMES, _OTHER_FORCES)):
         words = _tokens(cells[i]) + (_tokens(below[i]) if has_row else [])
         names = {**known, **others}
-        if clock and i == at[0]:
-            # "h:mm:ss" in a header names no unit.
+        if known is _TIME_NAMES and (clock or rate_hz is not None):
+            # "h:mm:ss" in a header names no unit, and numbers of entries have none.
             units.append("s")
             continue
         told = {names[word] for word in words[1 if len(words) > 1 and words[0] in ("t", "f") else 0 :] if word in names}
@@ -228,8 +278,13 @@ def _with_units(
                 "that in the header"
             )
         units.append(unit)
+    unit_at = next((i for i, cell in enumerate(cells) if set(_tokens(cell)) & _UNIT_WORDS), None)
+    if unit_at is not None and units[1] is None and entry is not None and len(entry) > unit_at:
+        units[1] = _FORCE_NAMES.get(entry[unit_at].casefold())
+    unit_at = unit_at if units[1] is not None else None
+    count = cells[at[0]] if at[0] >= 0 else ""
     return LogColumns(
-        cells[at[0]], cells[at[1]], units[0], units[1], number + 1, at, separator, first, len(cells), clock
+        count, cells[at[1]], units[0], units[1], number + 1, at, separator, first, len(cells), clock, rate_hz, unit_at
     )
 
 
@@ -242,6 +297,8 @@ def with_units(columns: LogColumns, path: Path, time_unit: str | None, force_uni
     """
     for given, told, name in ((time_unit, columns.time_unit, columns.time),
                               (force_unit, columns.force_unit, columns.force)):  # fmt: skip
+        if columns.rate_hz is not None and name == columns.time:
+            continue
         if given is not None and told is not None and given != told:
             raise SubjectError(f"{path}: column {_shown(name)} is in {told}, but {given} was given; correct either")
     return replace(columns, time_unit=columns.time_unit or time_unit, force_unit=columns.force_unit or force_unit)
@@ -266,7 +323,8 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
         raise SubjectError(
             f"{path}: column {_shown(columns.force)} tells no unit; give --log-units s,N (or s,kgf or s,lbf)"
         )
-    rows, period = [], HOUR_S
+    rows: list[tuple[int, float, float]] = []
+    period = HOUR_S
     lines = read_exported_text(path).splitlines()
     for number, line in enumerate(lines[columns.first - 1 :], columns.first):
         if not line.strip(columns.separator + " \t"):
@@ -277,11 +335,16 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
                 f"{path}: line {number}: {len(cells)} fields, wanted {columns.fields} as in the header; numbers with "
                 "decimal commas need semicolons between the fields"
             )
-        when, much = (cells[i] if i < len(cells) else "" for i in columns.at)
+        when, much = (cells[i] if 0 <= i < len(cells) else "" for i in columns.at)
         time = _clock(when) if columns.clock else _number(when, columns.separator)
+        if columns.at[0] < 0:
+            time = float(len(rows))
         force = _number(much, columns.separator)
+        if columns.unit_at is not None and columns.unit_at < len(cells):
+            _check_unit(path, number, cells[columns.unit_at], columns.force_unit)
         if time is None or force is None:
             wanted = "a time of day and a force" if columns.clock else "numbers of time and force"
+            wanted = wanted if columns.rate_hz is None else "a number of force"
             raise SubjectError(
                 f"{path}: line {number}: found {_shown(line)}, wanted {wanted}; take the line out if it is no entry"
             )
@@ -291,7 +354,8 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
             raise SubjectError(f"{path}: more than {MOST_ROWS} rows; cut the log to the push")
     if len(rows) < 2:
         raise SubjectError(f"{path}: found {len(rows)} rows of numbers, wanted 2 or more")
-    times = TIME_UNITS[columns.time_unit] * np.array([row[1] for row in rows])
+    step = TIME_UNITS[columns.time_unit] if columns.rate_hz is None else 1.0 / columns.rate_hz
+    times = step * np.array([row[1] for row in rows])
     forces = FORCE_UNITS[columns.force_unit] * np.array([row[2] for row in rows])
     notes = []
     if columns.clock:
@@ -314,6 +378,12 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
         wanted = "export it with parts of a second" if same else "wanted one log, in order of time"
         raise SubjectError(f"{path}: line {number}: the time does not grow; {wanted}")
     return _magnitudes(path, times, forces, notes)
+
+
+def _check_unit(path: Path, line: int, cell: str, wanted: str) -> None:
+    """Raise SubjectError for an entry in another unit than the first."""
+    if cell and _FORCE_NAMES.get(cell.casefold()) != wanted:
+        raise SubjectError(f"{path}: line {line}: a force in {_shown(cell)}, wanted {wanted} as in the first entry")
 
 
 def _magnitudes(path: Path, times: Floats, forces: Floats, notes: list[str]) -> ForceLog:
@@ -346,17 +416,21 @@ def _magnitudes(path: Path, times: Floats, forces: Floats, notes: list[str]) -> 
     return ForceLog(times, np.maximum(forces, 0.0), tuple(notes))
 
 
-def _matching(cells: list[str], names: tuple[str, str] | None) -> tuple[list[int], list[int]]:
+def _matching(cells: list[str], names: tuple[str, ...] | None, counted: bool) -> tuple[list[int], list[int]]:
+    """Columns of time, or with ``counted`` of the entries' numbers, and of force."""
     if names is not None:
         found = [[i for i, cell in enumerate(cells) if cell.casefold() == name.strip().casefold()] for name in names]
-        return found[0], found[1]
-    times, forces = [], []
-    for i, cell in enumerate(cells):
-        words = _tokens(cell)
-        if _says(words, "time"):
-            times.append(i)
-        elif _says(words, "force"):
-            forces.append(i)
+        return (found[0], found[1]) if len(found) > 1 else ([], found[0])
+    columns = list(enumerate(map(_tokens, cells)))
+    times = [i for i, words in columns if _says(words, "time")]
+    times = times or [i for i, words in columns if words and words[-1] in _TIME_NAMES]
+    others = [(i, words) for i, words in columns if i not in times]
+    # A column of another name may have the unit of a force, and one without may be the value that was measured.
+    forces = [i for i, words in others if set(words) & _FORCE_WORDS]
+    forces = forces or [i for i, words in others if words and {words[0], words[-1]} & set(_FORCE_NAMES)]
+    forces = forces or [i for i, words in others if set(words) & _VALUE_WORDS]
+    if counted:
+        times = [i for i, words in columns if i not in forces and set(words) & _COUNT_WORDS]
     return times, forces
 
 

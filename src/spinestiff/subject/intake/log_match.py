@@ -30,6 +30,8 @@ LAG_S = 0.1
 """At either end of the interval: the motion of a trunk that creeps by a tenth within a second lags so far behind."""
 ENOUGH_N, ENOUGH = 5.0, 0.1
 """A frame's force is known well enough within so many N, or this share of the largest."""
+SURE_FRAMES, SURE_FORCE = 0.5, 0.5
+"""Of the frames, and of the log's largest force among theirs: with so much sure, the others' forces alone stay open."""
 LEAST_RISE_N = 2.0
 """A log that changes less shows no push."""
 LEAST_MOTION_PX = 0.5
@@ -47,9 +49,10 @@ class LogMatch:
     determined : whether it is known well enough for the forces.
     why : it is not, in words; empty if it is.
     explained : share of the motion's variance that the force explains.
-    forces_n : (F,) at the frames; NaN where the log does not tell one (``ForceLog.told``).
+    forces_n : (F,) at the frames; NaN where the log does not tell one (``ForceLog.told``), or the offset leaves it open.
     forces_low_n, forces_high_n : (F,) over the interval.
     given : the offset is the user's. against : how the motion contradicts it, in words; empty if it does not.
+    uncertain : frames whose force the offset leaves open, where it is determined for most others.
     """
 
     offset_s: float
@@ -63,11 +66,12 @@ class LogMatch:
     forces_high_n: Floats
     given: bool = False
     against: str = ""
+    uncertain: tuple[int, ...] = ()
 
     @property
     def open_n(self) -> float:
-        """By how much the offset leaves a frame's force open either way, N, at most."""
-        return 0.5 * float((self.forces_high_n - self.forces_low_n).max())
+        """By how much the offset leaves a frame's force open either way, N, at most, but for ``uncertain`` ones."""
+        return 0.5 * float(np.delete(self.forces_high_n - self.forces_low_n, self.uncertain).max())
 
 
 def match_log(log: ForceLog, times_s: Floats, motion: Floats) -> LogMatch:
@@ -107,18 +111,25 @@ def match_log(log: ForceLog, times_s: Floats, motion: Floats) -> LogMatch:
     forces = np.concatenate([forces, at_ends])
     force_low, force_high = forces.min(0), forces.max(0)
     enough = max(ENOUGH_N, ENOUGH * float(log.forces_n.max()))
+    open_still = force_high - force_low > 2.0 * enough
+    sure = np.delete(force_low, np.flatnonzero(open_still))
+    most = len(sure) >= SURE_FRAMES * len(times_s) and sure.max() >= SURE_FORCE * float(log.forces_n.max())
     why = ""
     if explained < LEAST_EXPLAINED:
         why = f"the force explains {100.0 * max(explained, 0.0):.0f} % of the motion at best"
     elif possible[0] <= offsets[0] or possible[-1] >= offsets[-1]:
         why = "the match lies at an end of the log; wanted a log that begins before the frames and ends after them"
-    elif float((force_high - force_low).max()) > 2.0 * enough:
+    elif open_still.any() and not most:
         why = (
             f"any offset from {low:.2f} to {high:.2f} s is possible, which leaves a frame's force open by ± "
             f"{0.5 * float((force_high - force_low).max()):.1f} N, wanted ± {enough:.1f} N or less"
         )
-    at_best = log.told(times_s + offsets[best])
-    return LogMatch(float(offsets[best]), low, high, not why, why, float(explained), at_best, force_low, force_high)
+    at_best = np.where(open_still, np.nan, log.told(times_s + offsets[best]))
+    uncertain = tuple(np.flatnonzero(open_still).tolist())
+    return LogMatch(
+        float(offsets[best]), low, high, not why, why, float(explained), at_best, force_low, force_high,
+        uncertain=() if why else uncertain,
+    )  # fmt: skip
 
 
 def given_offset(

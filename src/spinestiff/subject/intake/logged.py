@@ -45,11 +45,24 @@ class Logged:
         return [round(float(force), 1) + 0.0 if np.isfinite(force) else None for force in self.match.forces_n]
 
     @property
-    def untold(self) -> str:
-        """Which frames the log tells no force of, in words; empty if none, or where the offset is not known."""
-        frames = [str(i) for i, force in enumerate(self.match.forces_n) if self.placed and not np.isfinite(force)]
-        many = f"frame {frames[0]} lies" if len(frames) == 1 else f"frames {', '.join(frames)} lie"
-        return f"{many} beyond the log, or in a gap of it, where it tells no force" if frames else ""
+    def untold(self) -> tuple[str, ...]:
+        """Which frames have no force though the offset is known, and why, in words."""
+        match = self.match
+        if not self.placed:
+            return ()
+        beyond = [i for i in np.flatnonzero(np.isnan(match.forces_n)).tolist() if i not in match.uncertain]
+        found = []
+        if beyond:
+            lies = "lies" if len(beyond) == 1 else "lie"
+            found.append(f"{_frames(beyond)} {lies} beyond the log, or in a gap of it, where it tells no force")
+        if match.uncertain:
+            wide = 0.5 * (match.forces_high_n - match.forces_low_n)[list(match.uncertain)].max()
+            many = "the force" if len(match.uncertain) == 1 else "the forces"
+            found.append(
+                f"the offset, from {match.low_s:.2f} to {match.high_s:.2f} s, leaves {many} of "
+                f"{_frames(match.uncertain)} open by up to ± {wide:.0f} N"
+            )
+        return tuple(found)
 
     @property
     def doubt(self) -> str:
@@ -67,6 +80,10 @@ class Logged:
             shown = [f"{time + self.match.offset_s:.3f}", *told] if self.placed else [""] * 4
             lines.append(",".join([str(i), f"{time:.3f}", *shown, f"{motion:.2f}"]))
         return "\n".join(lines) + "\n"
+
+
+def _frames(numbers: Sequence[int]) -> str:
+    return f"frame{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"
 
 
 def put_beside(log: ForceLog, files: Sequence[Path], name: str, offset_s: float | None) -> Logged:
