@@ -217,6 +217,28 @@ def test_a_picture_in_which_no_spine_has_room_is_told(folder):
     assert any("no spine has room" in line for lines in told.values() for line in lines), told
 
 
+@pytest.mark.parametrize(
+    ("tags", "slot"),
+    [
+        ({"Manufacturer": "EOS imaging"}, True),
+        ({"Manufacturer": "?", "ManufacturerModelName": "EOSedge"}, True),
+        ({"Manufacturer": "Canon", "ManufacturerModelName": "EOS 5D"}, False),
+        ({"Manufacturer": "Siemens", "ManufacturerModelName": "Eosin"}, False),
+    ],
+)
+def test_a_slot_scanner_is_told(folder, tags, slot):
+    path = folder / "pushes/right-8.dcm"
+    without(path, **tags)
+    words = "comes from a slot scanner (EOS or the like), whose pictures grow across the body only"
+    (one,) = [one for one in inspect(folder) if one.image == "push/right-8"]
+    assert any(line.startswith(words) for line in one.warnings) == slot
+    subject = read_subject(folder)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_push(subject, subject.pushes[0])
+    assert any(f"right-8.dcm {words}" in str(one.message) for one in caught) == slot
+
+
 def test_a_push_without_any_force_is_told(folder):
     (push,) = SUBJECT["pushes"]
     none = {"forces_n": [0] * len(push["forces_n"]), "roles": ["unused"] * len(push["forces_n"])}

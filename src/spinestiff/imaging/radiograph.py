@@ -134,15 +134,15 @@ def read_radiographs(
 
     Warns
     -----
-    UserWarning : what is odd about the order of a folder's files.
+    UserWarning : what is odd about the order of a folder's files, or of how a file's picture was taken.
 
     Raises
     ------
     RadiographError : whatever is wrong with a file, in one line with its name.
     """
     scans, odd = read_scans(Path(path), geometry or Geometry(), within)
-    if odd:
-        warnings.warn(odd, stacklevel=2)
+    for words in filter(None, (odd, f"{Path(path).name} {scans[0].doubt}" if scans[0].doubt else "")):
+        warnings.warn(words, stacklevel=2)
     return _radiographs(scans, centre)
 
 

@@ -133,7 +133,7 @@ def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -
         scans, odd = read_scans(path, given, within)
     except RadiographError as problem:
         return Inspection(name, str(problem)), None
-    told = (*filter(None, [odd]), *_looks_otherwise(scans[0]), *_too_small(scans[0]))
+    told = (*filter(None, [odd, scans[0].doubt]), *_looks_otherwise(scans[0]), *_too_small(scans[0]))
     return Inspection(name, "", _seen(scans), scans[0].missing, told), scans[0]
 
 
@@ -194,7 +194,9 @@ def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
             found.append(Inspection(one, str(problem)))
         else:
             scans.append(replace(scan, pixels=()))  # 128 files of pixels would fill the memory
-            found.append(Inspection(one, "", _seen((scan,)), scan.missing, tuple(_too_small(scan))))
+            found.append(
+                Inspection(one, "", _seen((scan,)), scan.missing, (*filter(None, [scan.doubt]), *_too_small(scan)))
+            )
     if len(found) == 1 or len(scans) < len(found) or any(scan.layout.frames > 1 for scan in scans):
         return tuple(found)
     try:
@@ -202,7 +204,11 @@ def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
     except RadiographError as problem:
         alone = f"not one sequence: {problem}"
         return tuple(Inspection(one.image, "", one.seen, one.missing, (alone, *one.warnings)) for one in found)
-    return (Inspection(name, "", _seen(series), series[0].missing, (*filter(None, [odd]), *_too_small(series[0]))),)
+    return (
+        Inspection(
+            name, "", _seen(series), series[0].missing, (*filter(None, [odd, series[0].doubt]), *_too_small(series[0]))
+        ),
+    )
 
 
 def _subject(folder: Path) -> tuple[Inspection, ...]:

@@ -45,6 +45,19 @@ def test_of_several_the_first_in_time_is_at_rest_and_says_so(exported):
     assert "name it in --pushes" in sorting.reasons["a"]
 
 
+def test_a_rest_radiograph_of_the_day_of_the_push_goes_before_others(exported):
+    old, new = {"AcquisitionDate": "20251103"}, {"AcquisitionDate": "20261103"}
+    push = exported("p", frames=3, time="110000", **new)
+    a, b = exported("a", time="100000", **old), exported("b", time="100500", **new)
+    sorting = sort_files([a, b, push])
+    assert names(sorting) == ("b", None, [["p"]])
+    assert sorting.reasons["b"] == ("the only single frontal (PatientOrientation L\\F) radiograph of the day of a push")
+    assert sorting.reasons["a"].startswith("single frontal radiograph before the one at rest")
+    c = exported("c", time="100200", **new)
+    assert names(sort_files([a, b, c, push]))[0] == "c"
+    assert names(sort_files([a, b]))[0] == "a"
+
+
 def test_words_of_the_series_go_before_time(exported):
     found = [exported("a", time="101000"), exported("b", time="102000", SeriesDescription="AP standing")]
     sorting = sort_files(found)

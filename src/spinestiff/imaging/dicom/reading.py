@@ -34,6 +34,11 @@ from spinestiff.imaging.projection import XRayView, placed_view
 LEAST_BYTES = 16 * 1024**2
 """Smaller files are read whole: that is quick enough."""
 
+SLOT_WORDS = (
+    "comes from a slot scanner (EOS or the like), whose pictures grow across the body only; it is read as if it came "
+    "from one point, so that lengths along the body are off"
+)
+
 
 @dataclass(frozen=True)
 class Scan:
@@ -75,6 +80,11 @@ class Scan:
         if self.directions is not None:
             found["orientation"], found["beam"] = self.directions.source, self.directions.beam_source
         return {**found, "grey values": self.greys}
+
+    @property
+    def doubt(self) -> str:
+        """What makes its millimetres doubtful, in words; empty if nothing."""
+        return SLOT_WORDS if self.tags.slot_scanner else ""
 
     @property
     def aspect(self) -> float:

@@ -62,6 +62,9 @@ class Table:
     values: NDArray[np.uint16]
 
 
+SLOT_MAKERS = ("eos imaging", "biospace med", "lodox")
+
+
 @dataclass(frozen=True)
 class Tags:
     """What a file says, before anything is concluded from it. None: the file does not say.
@@ -106,6 +109,7 @@ class Tags:
     content_clock: float | None
     instance: int | None
     identity: str
+    slot_scanner: bool = False
 
 
 def read_tags(dataset: Dataset) -> Tags:
@@ -168,7 +172,14 @@ def read_tags(dataset: Dataset) -> Tags:
         content_clock=clock_of(partial(told, dataset), "Content"),
         instance=None if instance is None else int(instance),
         identity=hashed(dataset, "SOPInstanceUID"),
+        slot_scanner=_by_a_slot(dataset),
     )
+
+
+def _by_a_slot(dataset: Dataset) -> bool:
+    """Whether maker or model is one of scanners that move a fan of X-rays along the body."""
+    maker, model = (told(dataset, keyword).casefold() for keyword in ("Manufacturer", "ManufacturerModelName"))
+    return any(word in maker for word in SLOT_MAKERS) or bool(re.fullmatch(r"eos(edge)?|statscan.*", model))
 
 
 def code(dataset: Dataset, keyword: str) -> str:

@@ -49,7 +49,7 @@ class LogMatch:
     determined : whether it is known well enough for the forces.
     why : it is not, in words; empty if it is.
     explained : share of the motion's variance that the force explains.
-    forces_n : (F,) at the frames; NaN where the log does not tell one (``ForceLog.told``), or the offset leaves it open.
+    forces_n : (F,) at the frames; NaN where the log tells none (``ForceLog.told``), or the offset leaves it open.
     forces_low_n, forces_high_n : (F,) over the interval.
     given : the offset is the user's. against : how the motion contradicts it, in words; empty if it does not.
     uncertain : frames whose force the offset leaves open, where it is determined for most others.

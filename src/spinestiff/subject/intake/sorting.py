@@ -6,7 +6,7 @@ one radiograph that can be at rest by it, and the reason says so; where it contr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -140,10 +140,11 @@ def sort_files(
         reasons |= forgotten
         singles = [one for one in singles if one.name not in forgotten]
     chosen = {"frontal": frontal, "lateral": lateral}
+    days = {one.tags.day for push in pushes for one in push.files if one.tags.day is not None}
     for view in ("frontal", "lateral"):
         mine = [one for one in singles if one.view == view]
         if chosen[view] is None and mine:
-            chosen[view], why = _at_rest(mine, view)
+            chosen[view], why = _at_rest(mine, view, days)
             for one in mine:
                 reasons[one.name] = why if one is chosen[view] else _another(one, view, chosen[view])
         else:
@@ -258,8 +259,8 @@ def _looks(one: Exported) -> str:
     return one.looks.words if one.looks else ""
 
 
-def _at_rest(mine: Sequence[Exported], view: str) -> tuple[Exported | None, str]:
-    """Which of the single radiographs of a view is the one at rest, and why."""
+def _at_rest(mine: Sequence[Exported], view: str, days: Set[int]) -> tuple[Exported | None, str]:
+    """Which of the single radiographs of a view is the one at rest, and why; ``days`` of the pushes."""
     if len(mine) == 1 and mine[0].tags.use not in NO_REST:
         return mine[0], f"the only single {_seen(mine[0])} radiograph"
     said = [one for one in mine if one.tags.use == "rest"]
@@ -268,6 +269,10 @@ def _at_rest(mine: Sequence[Exported], view: str) -> tuple[Exported | None, str]
     open_ = [one for one in said or mine if one.tags.use not in NO_REST]
     if len(open_) == 1:
         return open_[0], f"the only single {_seen(open_[0])} radiograph that is not called a push"
+    same_day = [one for one in open_ if one.tags.day in days]
+    if len(same_day) == 1:
+        return same_day[0], f"the only single {_seen(same_day[0])} radiograph of the day of a push"
+    open_ = same_day or open_
     moments = sorted(one.tags.moment for one in open_ if one.tags.moment is not None)
     if open_ and len(moments) == len(open_) and moments[0] < moments[1]:
         first = min(open_, key=_moment)
