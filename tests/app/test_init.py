@@ -506,6 +506,27 @@ def test_a_log_is_put_beside_the_frames_by_their_motion_and_shown(spinestiff, lo
     assert "SubjectGaps" not in done.err and "open still" not in done.out
 
 
+def test_two_pushes_on_one_stretch_of_a_log_are_left_open(spinestiff, logged):
+    folder, true = logged
+    pixels = pydicom.dcmread(folder / "in" / "x" / "I7").pixel_array
+    export(folder / "in" / "x" / "J7", frames=30, pixels=pixels + 1.0, time="120000")
+    log = [f"--log={push}={folder / 'gauge.csv'}" for push in ("I7", "J7")]
+    done = spinestiff("init", folder / "a", folder / "in", *log, *PERSON, *SITE)
+    assert done.status == 0, done.err
+    for name, other in (("left-5", "left-5-2"), ("left-5-2", "left-5")):
+        assert re.search(
+            rf"log of push {name}: where it begins is not determined: it would lie on the stretch of the log, 3.\d to "
+            rf"10.\d s, on which push {other} lies; give",
+            done.out,
+        )
+    still_open = [f"pushes[{number}].forces_n[0 to 29]" for number in range(2)]
+    assert [gap.field for gap in read_unannotated(folder / "a").gaps] == still_open
+    done = spinestiff("init", folder / "b", folder / "in", *log, *PERSON, *SITE, "--log-offset", "I7=3.1")
+    found = read_unannotated(folder / "b")
+    np.testing.assert_allclose(found.pushes[0].forces_n, true, atol=0.6)
+    assert [gap.field for gap in found.gaps] == still_open[1:]
+
+
 def test_a_log_without_times_is_put_beside_by_its_rate(spinestiff, logged):
     folder, true = logged
     untimed = folder / "untimed.csv"

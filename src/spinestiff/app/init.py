@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import permutations
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -176,6 +177,7 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
         if given is not None and not logs:
             raise OptionError(f"{option}: belongs to a --log; give both")
     said = {number: _read_log(work, number, Path(text), offsets.get(number), asked) for number, text in logs.items()}
+    _part_stretches(work, logs)
     check_open_record(data)
     if asked.may_ask:
         typer.echo("An empty answer leaves a question open.", err=True)
@@ -189,6 +191,21 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
     if asked.may_ask:
         for push in data["pushes"]:
             questions.ask_forces(push, lambda: check_open_record(data))
+
+
+def _part_stretches(work: _Work, logs: Mapping[int, str]) -> None:
+    """Two pushes of one log can't lie on the same stretch of it: neither place is known then, but one that is given."""
+    placed = [number for number, logged in work.logged.items() if logged.placed]
+    for number, other in permutations(placed, 2):
+        one, (begins, ends) = work.logged[number], work.logged[other].stretch_s
+        first, last = one.stretch_s
+        same = Path(logs[number]).resolve() == Path(logs[other]).resolve() and first <= ends and begins <= last
+        if same and not one.match.given:
+            name = push_named(work.data["pushes"][other]["id"])
+            why = f"it would lie on the stretch of the log, {first:.1f} to {last:.1f} s, on which {name} lies"
+            work.logged[number] = replace(one, match=replace(one.match, determined=False, why=why))
+            push = work.data["pushes"][number]
+            push["forces_n"] = [None] * len(push["forces_n"])
 
 
 def _by_push(texts: Sequence[str], work: _Work, option: str) -> dict[int, str]:

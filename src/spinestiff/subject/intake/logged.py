@@ -40,6 +40,12 @@ class Logged:
         return self.match.given or self.match.determined
 
     @property
+    def stretch_s(self) -> tuple[float, float]:
+        """Times of the log between which the frames lie, by the offset."""
+        first, last = float(self.times_s[0]), float(self.times_s[-1])
+        return first + self.match.offset_s, last + self.match.offset_s
+
+    @property
     def forces_n(self) -> list[float | None]:
         """At the frames, to 0.1 N; None where the log tells none."""
         return [round(float(force), 1) + 0.0 if np.isfinite(force) else None for force in self.match.forces_n]
