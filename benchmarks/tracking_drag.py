@@ -87,9 +87,8 @@ def recipe(seed: int) -> Recipe:
     )
 
 
-def shares(folder: Path, seed: int) -> list[Shares]:
+def shares(folder: Path, wanted: Recipe) -> list[Shares]:
     """Of all frames of a subject that moved enough; the subject is made and tracked if it is not there."""
-    wanted = recipe(seed)
     if not made_by(folder, wanted):
         synthesise(folder, wanted)
     visit = open_visit(folder)
@@ -212,7 +211,7 @@ def main() -> None:
     found, failed = [], 0
     for seed in range(asked.first, asked.first + asked.subjects):
         try:
-            found.append(shares(asked.folder / f"{seed}", seed))
+            found.append(shares(asked.folder / f"{seed}", recipe(seed)))
         except SpinestiffError as error:
             failed += 1
             print(f"{seed}: {error}", flush=True)
