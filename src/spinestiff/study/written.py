@@ -29,7 +29,6 @@ from spinestiff.study.trials import PushSet, seen_beside
 from spinestiff.study.visit import Visit
 from spinestiff.subject.estimate_outcome import (
     OF_FRAME,
-    QUICK_LOOK,
     BudgetRecord,
     CombinationRecord,
     CostRecord,
@@ -133,6 +132,7 @@ def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: 
             for s in fit.history
         ),
         method=fit.method,
+        mesh=mesh_size(pushes.torso),
         orientation=fit.orientation,
         bounds=fit.bounds,
         poses={name: _pose_record(pose) for name, pose in pushes.poses.items()},
@@ -164,7 +164,7 @@ def mesh_notes(torso: TorsoModel, method: str, own: bool = False) -> tuple[str, 
     if mesh_size(torso) == "fine":
         return ()
     text = (
-        f"{QUICK_LOOK}: the tissue's mesh is coarse ({len(torso.tissue.rest_positions)} nodes). Such a mesh resists "
+        f"a quick look: the tissue's mesh is coarse ({len(torso.tissue.rest_positions)} nodes). Such a mesh resists "
         "like tissue that is about 6 % stiffer than on the fine one, so the ratio of tissue comes out lower by about "
         "as much, and bending, which trades against it, is off, too"
     )

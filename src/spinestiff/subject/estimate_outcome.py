@@ -21,8 +21,6 @@ from spinestiff.subject.outcome_parts import (
 
 OF_FRAME = " in "
 """Between a vertebra and its frame, where both name one thing."""
-QUICK_LOOK = "a quick look"
-"""How the note of an estimate on a coarse mesh begins."""
 
 
 class Check(Outcome):
@@ -232,6 +230,7 @@ class Estimate(OutcomeFile):
     best_known : the combination of ratios that is known best; None where a ratio alone is.
     p_value : of residuals as large, if all errors are as expected. tracking_factor : by which tracking's were larger.
     outlying : vertebrae whose own errors were larger than usual, and by how much: "T9 in push 'main' frame 2".
+    mesh : of the tissue on which the ratios were found; those of a coarse one are not for reporting.
     poses : by push.
     notes : what a reader must know that is no sign of a mistake.
     """
@@ -272,6 +271,7 @@ class Estimate(OutcomeFile):
     reactions_n: Reactions
     history: tuple[FitStepRecord, ...]
     method: str
+    mesh: Literal["coarse", "fine"]
     orientation: Orientation
     bounds: Pair
     poses: dict[str, PoseRecord]
@@ -287,7 +287,7 @@ class Estimate(OutcomeFile):
     @property
     def quick_look(self) -> bool:
         """Whether it was made on a coarse mesh, whose ratios are not for reporting."""
-        return any(note.startswith(QUICK_LOOK) for note in self.notes)
+        return self.mesh == "coarse"
 
     @property
     def failed(self) -> tuple[Check, ...]:

@@ -265,6 +265,7 @@ def estimate_record() -> Estimate:
         "p_value": 0.42,
         "tracking_factor": 1.13,
         "method": "weighed",
+        "mesh": "fine",
         "orientation": "procrustes",
         "bounds": [0.005, 5.0],
         "poses": {key: {"shift_mm": [0.4, 1.0], "roll_deg": -0.3, "yaw_deg": 0.0, "rms_mm": 1.0} for key in PUSHES},
