@@ -106,7 +106,8 @@ def examples():
             "parameters": ("tissue",), "ratios": {"tissue": ratio}, "plain": {"tissue_young": plain},
             "covariance_log": ((None,),), "correlation": None, "region": ((third, 0.5),),
             "region_size": None, "training_rmse_mm": {"default": None, "fit": third}, "method": "weighed",
-            "mesh": "coarse", "orientation": "covariance", "bounds": (0.005, 5.0), "poses": {"a": pose()}, "notes": ("ü", ""),
+            "mesh": "coarse", "orientation": "covariance", "bounds": (0.005, 5.0), "poses": {"a": pose()},
+            "notes": ("ü", ""),
             "reactions_n": {
                 "push": "a", "f3": 20.0, "shoulder": third, "pelvis": 1.0, "pelvis_moment_nm": third,
                 "wall_pull": 0.0, "eq2_shoulder": 2.0, "eq1_pelvis": 3.0,
