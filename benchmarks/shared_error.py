@@ -1,7 +1,8 @@
 """What of an estimate's error comes from tracking, from the rest geometry and mesh, and from the stated pushes?
 
-``python benchmarks/shared_error.py PEOPLE SCRATCH [--only NAME ...] [--write]``: PEOPLE holds synthetic subjects with
-their truths beside them, as ``cohort_of_forty.py`` and ``spinestiff synth`` make them. Each is tracked and personalised
+``python benchmarks/shared_error.py PEOPLE SCRATCH [--only NAME ...] [--few SEED ...] [--write [FILE]]``: PEOPLE holds
+synthetic subjects with their truths beside them, as ``cohort_of_forty.py`` and ``spinestiff synth`` make them; those of
+``--few``, people with few errors of ``coverage_rendered``, are made there. Each is tracked and personalised
 in SCRATCH, and estimated on the fine mesh with
 
     nothing            known but what its folder says
@@ -24,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coverage_rendered import rendered_subject
 
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
@@ -40,6 +42,7 @@ from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome
 
 RESULTS = Path(__file__).parent / "results" / "shared_error.json"
+FEW_NODES = 15_000  # of their truths' meshes, as in coverage.py
 GIVEN = {
     "nothing": (),
     "torso": ("torso",),
@@ -125,9 +128,14 @@ def main() -> None:
     parser.add_argument("people", type=Path)
     parser.add_argument("scratch", type=Path)
     parser.add_argument("--only", nargs="+", help="names of people; else all")
-    parser.add_argument("--write", action="store_true", help=f"keep what is in SCRATCH in {RESULTS.name}")
+    parser.add_argument("--few", nargs="+", type=int, default=(), metavar="SEED", help="people to be made first")
+    parser.add_argument("--write", nargs="?", type=Path, const=RESULTS, metavar="FILE", help="keep what is in SCRATCH")
     asked = parser.parse_args()
-    asked.scratch.mkdir(parents=True, exist_ok=True)
+    for folder in (asked.people, asked.scratch):
+        folder.mkdir(parents=True, exist_ok=True)
+    for seed in asked.few:
+        if not (asked.people / f"sub-{seed}").is_dir():
+            rendered_subject(seed, FEW_NODES, asked.people / f"sub-{seed}")
     there = sorted(path.name for path in asked.people.iterdir() if truth_path(path).is_file() and path.is_dir())
     for name in asked.only or there:
         kept = asked.scratch / f"{name}.json"
@@ -144,8 +152,8 @@ def main() -> None:
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     result = {"date": date, "people": len(rows), "given": summarised(rows) if rows else {}, "rows": rows}
     print(json.dumps(result["given"], indent=1))
-    if asked.write:
-        RESULTS.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    if asked.write is not None:
+        asked.write.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
