@@ -26,7 +26,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from tracking_drag import CHANNELS, FIRST, Shares, recipe, shares, summarised
+from tracking_drag import CHANNELS, FIRST, Shares, pairs, recipe, shares
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.state import TorsoState
@@ -94,15 +94,16 @@ def _flattened(torso: TorsoModel, state: TorsoState, bone: int, whole: Absorber)
 def told(subjects: list[list[Shares]]) -> dict[str, Any]:
     """Sizes of the shares in shifts along columns and in turns."""
     found: dict[str, Any] = {"frames": sum(map(len, subjects))}
-    sizes = summarised(subjects)
     for row, channel in enumerate(CHANNELS):
         if channel == "shift along rows":
             continue
         every = np.concatenate([frame.values[row] for frames in subjects for frame in frames])
+        products = [a.values[row] * b.values[row] for kind, a, b in pairs(subjects) if kind == "other push"]
+        common = float(np.nanmean(products))
         found[channel] = {
             "mean": round(float(np.nanmean(every)), 4),
-            "rms": sizes[channel]["same frame"]["size"],
-            "common to pushes": sizes[channel]["other push"]["size"],
+            "rms": round(float(np.sqrt(np.nanmean(every**2))), 4),
+            "common to pushes": round(float(np.sign(common) * np.sqrt(abs(common))), 4),
         }
     return found
 
