@@ -31,6 +31,7 @@ from tracking_drag import CHANNELS, FIRST, Shares, pairs, recipe, shares
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.errors import SpinestiffError
 from spinestiff.imaging.projection import XRayView, frontal_view
 from spinestiff.imaging.synthetic import acquisition as acquired
 from spinestiff.imaging.synthetic import torso_absorbers as parts
@@ -61,7 +62,8 @@ def showing(kind: str) -> Iterator[None]:
     """Radiographs show these parts of a trunk."""
 
     def absorbers(torso: TorsoModel, state: TorsoState, seed: int = 0, breath: float = 0.0) -> tuple[Absorber, ...]:
-        found = [parts._skin(torso, state, seed)]
+        # Even, as a pattern that stays where it is would take vertebrae along, too.
+        found = [replace(parts._skin(torso, state, seed), texture=None)]
         for bone, name in enumerate(torso.bone_names):
             if kind != "bones" and name not in VERTEBRAE:
                 continue
@@ -93,7 +95,7 @@ def _flattened(torso: TorsoModel, state: TorsoState, bone: int, whole: Absorber)
 
 def told(subjects: list[list[Shares]]) -> dict[str, Any]:
     """Sizes of the shares in shifts along columns and in turns."""
-    found: dict[str, Any] = {"frames": sum(map(len, subjects))}
+    found: dict[str, Any] = {"subjects": len(subjects), "frames": sum(map(len, subjects))}
     for row, channel in enumerate(CHANNELS):
         if channel == "shift along rows":
             continue
@@ -122,10 +124,12 @@ def main() -> None:
     for kind in KINDS:
         found = []
         for seed in range(FIRST, FIRST + asked.subjects):
-            with showing(kind):
-                found.append(
-                    shares(asked.folder / f"{kind.replace(', ', '-').replace(' ', '-')}-{seed}", quiet(seed, kind))
-                )
+            folder = asked.folder / f"{kind.replace(', ', '-').replace(' ', '-')}-{seed}"
+            try:
+                with showing(kind):
+                    found.append(shares(folder, quiet(seed, kind)))
+            except SpinestiffError as error:
+                print(f"{kind} {seed}: {error}", flush=True)
         result[kind] = told(found)
         print(kind, json.dumps(result[kind]), flush=True)
     if asked.write:

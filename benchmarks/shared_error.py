@@ -134,8 +134,12 @@ def main() -> None:
     for folder in (asked.people, asked.scratch):
         folder.mkdir(parents=True, exist_ok=True)
     for seed in asked.few:
-        if not (asked.people / f"sub-{seed}").is_dir():
-            rendered_subject(seed, FEW_NODES, asked.people / f"sub-{seed}")
+        person = asked.people / f"sub-{seed}"
+        if not truth_path(person).is_file():
+            try:
+                rendered_subject(seed, FEW_NODES, person)
+            except SpinestiffError as error:
+                print(f"{person.name}: {error}", flush=True)
     there = sorted(path.name for path in asked.people.iterdir() if truth_path(path).is_file() and path.is_dir())
     for name in asked.only or there:
         kept = asked.scratch / f"{name}.json"
