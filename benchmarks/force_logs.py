@@ -66,9 +66,10 @@ def motion_of(log: ForceLog, times_s: Floats, case: Case, rng: np.random.Generat
 
 
 def of_case(case: Case, draws: int, seed: int) -> dict[str, Any]:
-    """Shares of the sequences, and the offset's error in seconds: of the determined ones mean, rms and largest."""
+    """Shares of the sequences, and the offset's error in seconds: of the determined ones mean, rms and largest, and of
+    these the share in which frames stay open."""
     rng = np.random.default_rng(seed)
-    held, determined, errors = [], [], []
+    held, determined, errors, partly = [], [], [], []
     for _ in range(draws):
         log = log_of(rng)
         begins = rng.uniform(*BEGINS_S)
@@ -77,10 +78,12 @@ def of_case(case: Case, draws: int, seed: int) -> dict[str, Any]:
         held.append(found.low_s <= begins <= found.high_s)
         determined.append(found.determined)
         errors.append(found.offset_s - begins)
+        partly.append(bool(found.uncertain))
     off = np.array(errors)[np.array(determined)]
     return {
         "interval_holds_truth": round(float(np.mean(held)), 4),
         "determined": round(float(np.mean(determined)), 4),
+        "with open frames": round(float(np.mean(partly)), 4),
         "error_s": {
             "mean": round(float(off.mean()), 3),
             "rms": round(float(np.sqrt(np.mean(off**2))), 3),

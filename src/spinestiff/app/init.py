@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from itertools import permutations
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -21,7 +20,7 @@ from spinestiff.errors import OptionError, RadiographError, SubjectError
 from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.imaging.radiograph import candidates
-from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
+from spinestiff.subject.gaps import PERSON, PUSH, Gap, check_open_record, gaps_of
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake import making
 from spinestiff.subject.intake.collecting import Refused, Study, by_name, chosen_studies, collect
@@ -177,7 +176,7 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
         if given is not None and not logs:
             raise OptionError(f"{option}: belongs to a --log; give both")
     said = {number: _read_log(work, number, Path(text), offsets.get(number), asked) for number, text in logs.items()}
-    _part_stretches(work, logs)
+    _part_stretches(work, logs, asked.may_ask)
     check_open_record(data)
     if asked.may_ask:
         typer.echo("An empty answer leaves a question open.", err=True)
@@ -193,19 +192,33 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
             questions.ask_forces(push, lambda: check_open_record(data))
 
 
-def _part_stretches(work: _Work, logs: Mapping[int, str]) -> None:
+def _part_stretches(work: _Work, logs: Mapping[int, str], may_ask: bool) -> None:
     """Two pushes of one log can't lie on the same stretch of it: neither place is known then, but one that is given."""
-    placed = [number for number, logged in work.logged.items() if logged.placed]
-    for number, other in permutations(placed, 2):
-        one, (begins, ends) = work.logged[number], work.logged[other].stretch_s
-        first, last = one.stretch_s
-        same = Path(logs[number]).resolve() == Path(logs[other]).resolve() and first <= ends and begins <= last
-        if same and not one.match.given:
-            name = push_named(work.data["pushes"][other]["id"])
-            why = f"it would lie on the stretch of the log, {first:.1f} to {last:.1f} s, on which {name} lies"
-            work.logged[number] = replace(one, match=replace(one.match, determined=False, why=why))
-            push = work.data["pushes"][number]
-            push["forces_n"] = [None] * len(push["forces_n"])
+    given = [number for number, logged in work.logged.items() if logged.placed and logged.match.given]
+    for others in (given, list(work.logged)):
+        placed = {number: work.logged[number] for number in others if work.logged[number].placed}
+        found = [number for number, logged in work.logged.items() if logged.placed and not logged.match.given]
+        for number in found:
+            one = work.logged[number]
+            same = [
+                other
+                for other, there in placed.items()
+                if other != number
+                and Path(logs[number]).resolve() == Path(logs[other]).resolve()
+                and one.on_the_stretch_of(there)
+            ]
+            if same:
+                _open_again(work, number, same[0], may_ask)
+
+
+def _open_again(work: _Work, number: int, other: int, may_ask: bool) -> None:
+    one, push = work.logged[number], work.data["pushes"][number]
+    (first, last), there = one.stretch_s, push_named(work.data["pushes"][other]["id"])
+    why = f"it would lie at {first:.1f} to {last:.1f} s of the log, where {there} lies"
+    work.logged[number] = replace(one, match=replace(one.match, determined=False, why=why))
+    if may_ask:
+        work.logged[number] = _ask_offset(work.logged[number], push["id"])
+    push["forces_n"] = work.logged[number].forces_n if work.logged[number].placed else [None] * len(push["forces_n"])
 
 
 def _by_push(texts: Sequence[str], work: _Work, option: str) -> dict[int, str]:
@@ -387,11 +400,7 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
     typer.echo(f"subject: {out}")
     for push in work.data["pushes"]:
         typer.echo(f"  {_push_words(push)}")
-    unplaced = [number for number, logged in work.logged.items() if not logged.placed]
-    lacking = [
-        f"{SUBJECT_FILE}: {gap.line_beside_log if gap.key == 'forces_n' and gap.push in unplaced else gap.line}"
-        for gap in gaps_of(work.data)
-    ]
+    lacking = [f"{SUBJECT_FILE}: {_gap_line(gap, work)}" for gap in gaps_of(work.data)]
     for one in inspect(out):
         if one.image != SUBJECT_FILE:
             lines = [one.reason] if one.reason else one.missing
@@ -420,6 +429,13 @@ def _push_words(push: dict[str, Any]) -> str:
         f"{push_named(push['id'])}: {counted(len(push['forces_n']), 'frame')}, from the {told['side']}, "
         f"rib {told['level']}, d21 {told['d21_mm']} mm, d31 {told['d31_mm']} mm, {forces}"
     )
+
+
+def _gap_line(gap: Gap, work: _Work) -> str:
+    logged = None if gap.key != "forces_n" or gap.push is None else work.logged.get(gap.push)
+    if logged is None:
+        return gap.line
+    return gap.line_by_hand if logged.placed else gap.line_beside_log
 
 
 def force_words(forces: Sequence[float | None]) -> str:
@@ -458,8 +474,9 @@ def _log_lines(name: str, logged: Logged) -> Iterator[str]:
         return
     yield (
         f"log of {push_named(name)}: first frame at {match.offset_s:.2f} s of the log, 95 % {match.low_s:.2f} to "
-        f"{match.high_s:.2f} s, found from the motion{explained}, and the offset leaves a frame's force open by at "
-        f"most ± {match.open_n:.1f} N; look at the picture"
+        f"{match.high_s:.2f} s, found from the motion{explained}, and the offset leaves "
+        f"{'another' if match.uncertain else 'a'} frame's force open by at most ± {match.open_n:.1f} N; look at the "
+        "picture"
     )
     if match.open_n > WORTH_TELLING_N:
         yield (

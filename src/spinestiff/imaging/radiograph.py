@@ -141,8 +141,9 @@ def read_radiographs(
     RadiographError : whatever is wrong with a file, in one line with its name.
     """
     scans, odd = read_scans(Path(path), geometry or Geometry(), within)
-    for words in filter(None, (odd, f"{Path(path).name} {scans[0].doubt}" if scans[0].doubt else "")):
-        warnings.warn(words, stacklevel=2)
+    if odd:
+        warnings.warn(odd, stacklevel=2)
+    _warn_of(scans[0], Path(path).name)
     return _radiographs(scans, centre)
 
 
@@ -156,6 +157,10 @@ def open_radiographs(
     """Like ``read_radiographs``, but every frame of an uncompressed file of 16 MB or more is read when it is asked for,
     and its radiographs carry no hash of it.
 
+    Warns
+    -----
+    UserWarning : as ``read_radiographs``.
+
     Raises
     ------
     RadiographError : as ``read_radiographs``; of single frames when they are read.
@@ -164,7 +169,13 @@ def open_radiographs(
     scan = None if path.is_dir() else read_frames(path, geometry or Geometry(), within)
     if scan is None:
         return read_radiographs(path, geometry=geometry, centre=centre, within=within)
+    _warn_of(scan, path.name)
     return _radiographs((scan,), centre)
+
+
+def _warn_of(scan: Scan, name: str) -> None:
+    if scan.doubt:
+        warnings.warn(f"{name} {scan.doubt}", stacklevel=3)
 
 
 class _OneByOne(Sequence[Radiograph]):

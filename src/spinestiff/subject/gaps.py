@@ -83,6 +83,11 @@ class Gap:
         return f"{self.field} is missing: {self.words}; write it there, or give {option}"
 
     @property
+    def line_by_hand(self) -> str:
+        """The same of forces that a log, which tells others, does not."""
+        return f"{self.field} is missing: {self.words}; write it there"
+
+    @property
     def line_beside_log(self) -> str:
         """The same of forces for which there is a log that could not be put beside the frames."""
         return (

@@ -267,8 +267,10 @@ def test_a_log_whose_units_stand_in_a_column_of_their_own(log):
     other = log(SAUTER.replace("12,5;N", "12,5;kgf"))
     with pytest.raises(SubjectError, match="line 3: a force in 'kgf', wanted N as in the first entry"):
         read(other)
-    with pytest.raises(SubjectError, match="column 'Messwert' tells no unit; give --log-units s,N"):
+    with pytest.raises(SubjectError, match="column 'Einheit' says kg; convert the forces to N, kgf or lbf"):
         read(log(SAUTER.replace(";N;", ";kg;")))
+    with pytest.raises(SubjectError, match="column 'Messwert' tells no unit; give --log-units s,N"):
+        read(log(SAUTER.replace(";N;", ";?;")))
 
 
 @pytest.mark.parametrize("header", ["Dauer [s],Messwert [N]", "Laufzeit (s),Peak N", "Zeit s,Wert\ns,N"])
@@ -276,10 +278,44 @@ def test_a_column_of_another_name_is_told_by_its_unit(log, header):
     np.testing.assert_allclose(read(log(f"{header}\n0,0\n1,2\n")).forces_n, [0.0, 2.0])
 
 
-def test_a_column_that_says_force_goes_before_one_that_has_its_unit(log):
-    assert find_columns(log("time s,n,Force N,Peak N\n0,1,0,9\n1,2,4,9\n")).force == "Force N"
-    with pytest.raises(SubjectError, match="several columns of force: 'n', 'Messwert N'"):
-        find_columns(log("time s,n,Messwert N\n0,1,0\n1,2,4\n"))
+@pytest.mark.parametrize(
+    ("header", "which"),
+    [
+        ("time s,n,Force N,Peak", "'n', 'Force N'"),
+        ("time s,n,Messwert N,Peak", "'n', 'Messwert N'"),
+        ("Uhrzeit,Peak [N],Messwert [N],-", "'Peak [N]', 'Messwert [N]'"),
+    ],
+)
+def test_columns_that_may_both_be_the_force_are_asked_for(log, header, which):
+    with pytest.raises(SubjectError, match=re.escape(f"several columns of force: {which}; give --log-columns TIME,")):
+        find_columns(log(f"{header}\n0,1,0,1\n1,2,4,1\n"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Uhrzeit;Zeit (s);Kraft (N)\n10:00:00;0;0\n10:00:01;1;2\n",
+        "Duration [s];Peak [N]\n12,3;56,7\n\nTime [s];Force [N]\n0;0\n1;2\n",
+        "Total sec,Max value,Mean value\n12.3,56.7,1\nTime (s),Force (N),x\n0,0,0\n1,2,0\n",
+        "t (s),N,Peak (N)\n0,0,9\n1,2,9\n",
+        "Time (s);Unit;Force (N);Unit\n0;s;0;N\n1;s;2;N\n",
+        "Time (s),Force (N),Unit ID\n0,0,A17\n1,2,A17\n",
+        "Time (unit: s),Force (unit: N)\n0,0\n1,2\n",
+    ],
+)
+def test_what_says_time_and_force_is_read_as_it_stands(log, text):
+    found = read(log(text))
+    np.testing.assert_allclose(found.times_s, [0.0, 1.0])
+    np.testing.assert_allclose(found.forces_n, [0.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["Index,Force (N),Rate (N/s)", "Point,Load (N),Speed (mm/s)", "Time (s),Value (mm),x", "No,Trial n,Weg mm"],
+)
+def test_other_quantities_are_not_taken_for_time_or_force(log, header):
+    with pytest.raises(SubjectError, match="wanted columns of time and force"):
+        find_columns(log(f"{header}\n0,0,0\n1,2,1\n"))
 
 
 @pytest.mark.parametrize(
@@ -313,7 +349,44 @@ def test_a_log_without_times_is_told_what_it_lacks(log):
         find_columns(path)
     with pytest.raises(SubjectError, match=r"wanted a column of force; name them as it does with --log-columns FORCE$"):
         find_columns(log("Sample,Weg\n4,0\n5,5\n"), rate_hz=10.0)
-    with pytest.raises(SubjectError, match="line 3: the time does not grow"):
+    with pytest.raises(SubjectError, match=r"wanted columns of time and force; .*give --log-rate HZ$"):
+        find_columns(log("Load (N)\n4\n5\n"))
+    with pytest.raises(SubjectError, match="line 3: the numbers of column 'Sample' do not grow; if it does not number"):
         read_force_log(path, find_columns(log("Sample,Load (N)\n4,0\n4,5\n"), rate_hz=10.0))
     with pytest.raises(SubjectError, match="line 3: found 'x', wanted a number of force"):
         read_force_log(path, find_columns(log("Load (N)\n4\nx\n"), rate_hz=10.0))
+
+
+@pytest.mark.parametrize(
+    ("above", "header"),
+    [
+        ("Peak force (N),56.7", "Sample,Load (N)"),
+        ("Model,ZTA-500N\nPeak(+),56.7N\nForce Unit,N", "No.,Force (N)"),
+        ("Max force 56.7 N", "Sample\tLoad (N)"),
+        ("", "n,Messwert N"),
+        ("", "n;Messwert;Einheit"),
+        ("", "N°\tValeur\tUnité"),
+    ],
+)
+def test_lines_above_a_header_and_numbers_of_entries_are_no_forces(log, above, header):
+    separator = next(one for one in ";\t," if one in header)
+    rows = [separator.join(row) for row in (("1", "0", "N"), ("2", "12", "N"), ("3", "40", "N"))]
+    if header.count(separator) == 1:
+        rows = [row.rpartition(separator)[0] for row in rows]
+    path = log("\n".join([*filter(None, [above]), header, *rows]) + "\n")
+    found = read_force_log(path, find_columns(path, rate_hz=10.0))
+    np.testing.assert_allclose(found.forces_n, [0.0, 12.0, 40.0])
+    np.testing.assert_allclose(found.times_s, [0.1, 0.2, 0.3])
+
+
+def test_a_rate_is_refused_where_a_log_has_times_or_other_fields(log):
+    timed = log("Time (s),Force (N)\n0,0\n0.01,5\n")
+    for names in (None, ("Time (s)", "Force (N)")):
+        with pytest.raises(SubjectError, match=re.escape("column 'Time (s)' has times; leave out --log-rate")):
+            find_columns(timed, names, 10.0)
+    path = log("Force gauge (N)\n1;0,5\n2;12,5\n")
+    with pytest.raises(SubjectError, match="line 2: found '1;0,5', wanted 1 field as in the header, line 1"):
+        read_force_log(path, find_columns(path, rate_hz=10.0))
+    # A clock of whole seconds does not part the entries of one second.
+    path = log("Uhrzeit;Kraft N\n10:00:00;0\n10:00:00;2\n10:00:01;4\n")
+    np.testing.assert_allclose(read_force_log(path, find_columns(path, rate_hz=10.0)).times_s, [0.0, 0.1, 0.2])

@@ -179,7 +179,8 @@ def read_tags(dataset: Dataset) -> Tags:
 def _by_a_slot(dataset: Dataset) -> bool:
     """Whether maker or model is one of scanners that move a fan of X-rays along the body."""
     maker, model = (told(dataset, keyword).casefold() for keyword in ("Manufacturer", "ManufacturerModelName"))
-    return any(word in maker for word in SLOT_MAKERS) or bool(re.fullmatch(r"eos(edge)?|statscan.*", model))
+    known = any(re.search(rf"\b{word}\b", maker) for word in SLOT_MAKERS)
+    return known or ("canon" not in maker and bool(re.match(r"(eos|eosedge|statscan)\b", model)))
 
 
 def code(dataset: Dataset, keyword: str) -> str:

@@ -29,9 +29,11 @@ def draw_log(name: str, log: ForceLog, match: LogMatch, times_s: Floats, motion:
         force.plot(log.times_s, log.forces_n, color="#444444", linewidth=1.1, label="the gauge's log")
         shown = times_s + match.offset_s if placed else times_s
         if placed:
-            spread = np.stack([match.forces_n - match.forces_low_n, match.forces_high_n - match.forces_n])
+            at, open_still = match.forces_n.copy(), list(match.uncertain)
+            at[open_still] = 0.5 * (match.forces_low_n + match.forces_high_n)[open_still]
+            spread = np.stack([at - match.forces_low_n, match.forces_high_n - at])
             force.errorbar(
-                shown, match.forces_n, yerr=np.maximum(spread, 0.0), fmt="o", color=FIT, markersize=4.5, capsize=2.5,
+                shown, at, yerr=np.maximum(spread, 0.0), fmt="o", color=FIT, markersize=4.5, capsize=2.5,
                 linewidth=1.0, label="force of each frame, with what the offset leaves open",
             )  # fmt: skip
             for axis in (force, moved):

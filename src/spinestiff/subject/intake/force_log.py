@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -17,31 +18,25 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import read_exported_text
 from spinestiff.formats import SEPARATORS, decimal_point, plain_number
 from spinestiff.subject.records import GAUGE_LIMIT_N
-from spinestiff.words import printable
+from spinestiff.words import counted, printable
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
 FORCE_UNITS = {"N": 1.0, "kgf": 9.80665, "lbf": 4.4482216152605}
 """Factors to s and N (BIPM SI Brochure; the avoirdupois pound under standard gravity)."""
-_TIME_WORDS = {
-    "time",
-    "t",
-    "zeit",
-    "uhrzeit",
-    "zeitstempel",
-    "temps",
-    "heure",
-    "tiempo",
-    "hora",
-    "elapsed",
-    "timestamp",
-}
+_TIME_WORDS = {"time", "t", "zeit", "temps", "tiempo", "elapsed", "timestamp"}
 _FORCE_WORDS = {"force", "f", "load", "kraft", "last", "fuerza"}
+_CLOCK_WORDS = {"uhrzeit", "zeitstempel", "heure", "hora"}
 _VALUE_WORDS = {"messwert", "reading", "value", "wert", "valeur", "valor"}
-"""Of a force, where no column's name says force or has its unit."""
+"""Of time and of force, where no other column says so (``_by_units``)."""
 _UNIT_WORDS = {"unit", "units", "einheit", "unité", "unidad"}
 """Of a column that tells the unit of each value."""
-_COUNT_WORDS = {"sample", "samples", "index", "number", "no", "nr", "nummer", "point"}
+_COUNT_WORDS = {"sample", "samples", "index", "number", "no", "nr", "n", "nummer", "point"}
 """Of a column that numbers the entries."""
+_TIME_AT_END = re.compile(
+    r"(?i:[\[(]\s*(?:s|secs?|seconds?|ms|msec|milliseconds?)\s*[\])])$|[\s_](?:s|secs?|seconds?|ms|msec|milliseconds?)$"
+)
+_FORCE_AT_END = re.compile(r"(?i:[\[(]\s*(?:n|newtons?|kgf|kp|lbf)\s*[\])])$|[\s_](?:N|[Nn]ewtons?|kgf|kp|lbf)$")
+"""A unit that ends a column's name, in brackets or by itself."""
 _TIME_NAMES = {**dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
                **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms")}  # fmt: skip
 _FORCE_NAMES = {**dict.fromkeys(("n", "newton", "newtons"), "N"), **dict.fromkeys(("kgf", "kp"), "kgf"), "lbf": "lbf"}
@@ -58,6 +53,8 @@ may be kgf and lbf; that is for the user to say.
 """
 LAST_HEADER = 60
 """Lines within which the header has to be: gauges write some of their own above it."""
+NUMBERS_BELOW = 2
+"""Lines below a header in one of which its first numbers have to stand."""
 MOST_ROWS = 1_000_000
 _CLOCK = re.compile(
     r"(?:.*[\sT])?(?P<h>\d{1,2}):(?P<m>[0-5]\d):(?P<s>[0-5]\d)(?:(?:[.,]|:(?=\d{3}\b))(?P<part>\d+))?\s*(?P<half>[AP]M)?Z?",
@@ -171,59 +168,123 @@ def find_columns(
     SubjectError : no header with a column of time (but with ``rate_hz``) and one of force, or several; a unit that is
         not read.
     """
-    counted = rate_hz is not None
     lines = read_exported_text(path).splitlines()
-    no_numbers = ""
-    best: tuple[str, str] | None = None
-    untimed = False
-    for number, line in enumerate(lines[:LAST_HEADER]):
-        # The force may be the only column of a log without times.
-        fewest = 1 if counted and all(len(_cells(line, separator)) == 1 for separator in SEPARATORS) else 2
+    if rate_hz is not None:
+        return _untimed(path, lines, names, rate_hz)
+    odd = ""
+    for way in (_by_words, _by_units) if names is None else (_by_names(names),):
+        found = _header(path, lines, way)
+        if found.at is not None:
+            return _with_units(path, lines, found)
+        odd = odd or found.odd
+    if odd:
+        raise SubjectError(
+            f"{path}: {odd}, wanted numbers of time (or a time of day, h:mm:ss) and force in one of the two lines "
+            "below it"
+        )
+    wanted = "columns of time and force" if names is None else f"columns '{names[0]}' and '{names[-1]}'"
+    raise _no_header(path, lines, wanted, "TIME,FORCE")
+
+
+def _untimed(path: Path, lines: list[str], names: tuple[str, str] | tuple[str] | None, rate_hz: float) -> LogColumns:
+    """The columns of a log whose entries follow each other at a rate."""
+    for way in (_by_words, _by_units) if names is None else ():
+        header = _header(path, lines, way)
+        timed = None if header.at is None else _with_units(path, lines, header)
+        # Times of day of whole seconds tell the entries of one second not apart.
+        if timed is not None and not timed.clock:
+            raise SubjectError(f"{path}: column {_shown(timed.time)} has times; leave out --log-rate for this log")
+    if names is not None and len(names) == 2 and _says(_tokens(names[0]), "time"):
+        raise SubjectError(f"{path}: column {_shown(names[0])} has times; leave out --log-rate for this log")
+    found = _header(path, lines, _counted if names is None else _by_names(names), timed=False)
+    if found.at is not None:
+        return _with_units(path, lines, found, rate_hz)
+    if found.odd:
+        raise SubjectError(f"{path}: {found.odd}, wanted numbers of force in one of the two lines below it")
+    wanted = "a column of force"
+    if names is not None:
+        wanted = f"column{'s' if len(names) > 1 else ''} {' and '.join(_shown(name) for name in names)}"
+    raise _no_header(path, lines, wanted, "FORCE")
+
+
+def _no_header(path: Path, lines: list[str], wanted: str, columns: str) -> SubjectError:
+    """That there is no such header."""
+    untold = columns != "FORCE" and any(_counted([line.strip()])[1] for line in lines[:LAST_HEADER])
+    for line in lines[:LAST_HEADER]:
         for separator in SEPARATORS:
             cells = _cells(line, separator)
+            if len(cells) > 1 and not all(_number(cell, separator) is not None for cell in cells):
+                untold = untold or (columns != "FORCE" and bool(_counted(cells)[1]))
+                return SubjectError(
+                    f"{path}: found the header {_shown(line)}, wanted {wanted}; name them as it does with "
+                    f"--log-columns {columns}{NO_TIMES if untold else ''}"
+                )
+    return SubjectError(
+        f"{path}: found no header of fields between commas, semicolons or tabs, wanted {wanted}; write a line such "
+        f"as time_s,force_N above the numbers, with the log's own units{NO_TIMES if untold else ''}"
+    )
+
+
+@dataclass(frozen=True)
+class _Header:
+    """A header's line, from 0, cells, separator, and positions of time (or number; -1: none) and force; ``at`` None:
+    none was found, and ``odd`` says what is wrong with one that has such columns, "" if there is none."""
+
+    number: int = 0
+    cells: tuple[str, ...] = ()
+    separator: str = ""
+    at: tuple[int, int] | None = None
+    odd: str = ""
+
+
+_Way = Callable[[Sequence[str]], tuple[list[int], list[int]]]
+
+
+def _header(path: Path, lines: list[str], way: _Way, timed: bool = True, places: range = range(LAST_HEADER)) -> _Header:
+    """The first line among ``places`` with the columns that ``way`` finds and numbers below; but for ``timed`` that of
+    force is enough.
+
+    Without times a line of one number above the header may look like one: one below which another stands is none.
+
+    Raises
+    ------
+    SubjectError : several such columns.
+    """
+    odd = ""
+    for number in places[: max(0, len(lines) - places.start)]:
+        line = lines[number]
+        # The force may be the only column of a log without times.
+        fewest = 1 if not timed and all(len(_cells(line, separator)) == 1 for separator in SEPARATORS) else 2
+        for separator in SEPARATORS:
+            cells = tuple(_cells(line, separator))
             if len(cells) < fewest or all(_number(cell, separator) is not None for cell in cells):
                 continue
-            best = best or (separator, line)
-            times, forces = _matching(cells, names, counted)
-            untimed = untimed or bool(forces and not times and len(cells) > 1)
-            if not forces or not (times or (counted and (names is None or len(names) == 1))):
+            times, forces = way(cells)
+            if not forces or (timed and not times):
                 continue
             if not _numbers_follow(lines[number + 1 :], times, forces, separator):
                 below = next((one for one in lines[number + 1 :] if one.strip(separator + " \t")), "")
                 under = f"and below it {_shown(below)}" if below else "and nothing below it"
-                no_numbers = no_numbers or f"line {number + 1}: found the header {_shown(line)} {under}"
+                odd = odd or f"line {number + 1}: found the header {_shown(line)} {under}"
+                continue
+            soon = range(number + 1, number + 1 + NUMBERS_BELOW)
+            if not timed and _header(path, lines, way, timed, soon).at is not None:
                 continue
             if len(times) > 1 or len(forces) > 1:
+                what, which = ("force", forces) if len(forces) > 1 else ("time" if timed else "numbers", times)
                 raise SubjectError(
-                    f"{path}: line {number + 1}: several columns of {'time' if len(times) > 1 else 'force'}: "
-                    f"{', '.join(_shown(cells[i]) for i in (times if len(times) > 1 else forces))}; give --log-columns "
-                    "TIME,FORCE"
+                    f"{path}: line {number + 1}: several columns of {what}: "
+                    f"{', '.join(_shown(cells[i]) for i in which)}; give --log-columns "
+                    f"{'TIME,FORCE' if timed else 'FORCE, or NUMBER,FORCE'}"
                 )
-            at = (times[0] if times else -1, forces[0])
-            return _with_units(path, lines, number, cells, at, separator, rate_hz)
-    if no_numbers:
-        raise SubjectError(
-            f"{path}: {no_numbers}, wanted numbers of time (or a time of day, h:mm:ss) and force in one of the two "
-            "lines below it"
-        )
-    wanted = "a column of force" if counted else "columns of time and force"
-    if names is not None:
-        wanted = f"column{'s' if len(names) > 1 else ''} {' and '.join(_shown(name) for name in names)}"
-    if best is None:
-        raise SubjectError(
-            f"{path}: found no header of fields between commas, semicolons or tabs, wanted {wanted}; write a line such "
-            "as time_s,force_N above the numbers, with the log's own units"
-        )
-    raise SubjectError(
-        f"{path}: found the header {_shown(best[1])}, wanted {wanted}; name them as it does with --log-columns "
-        f"{'FORCE' if counted else 'TIME,FORCE'}{NO_TIMES if untimed and not counted else ''}"
-    )
+            return _Header(number, cells, separator, (times[0] if times else -1, forces[0]))
+    return _Header(odd=odd)
 
 
-def _numbers_follow(below: list[str], times: list[int], forces: list[int], separator: str) -> bool:
+def _numbers_follow(below: Sequence[str], times: list[int], forces: list[int], separator: str) -> bool:
     """Whether one of the next two lines has numbers of time, if there is one, and force; one may hold the units."""
     full = (line for line in below if line.strip(separator + " \t"))
-    for line in islice(full, 2):
+    for line in islice(full, NUMBERS_BELOW):
         cells = dict(enumerate(_cells(line, separator)))
         if (not times or any(_time(cells.get(i, ""), separator) is not None for i in times)) and any(
             _number(cells.get(i, ""), separator) is not None for i in forces
@@ -232,24 +293,21 @@ def _numbers_follow(below: list[str], times: list[int], forces: list[int], separ
     return False
 
 
-def _with_units(
-    path: Path,
-    lines: list[str],
-    number: int,
-    cells: list[str],
-    at: tuple[int, int],
-    separator: str,
-    rate_hz: float | None,
-) -> LogColumns:
+def _with_units(path: Path, lines: list[str], header: _Header, rate_hz: float | None = None) -> LogColumns:
+    number, cells, separator = header.number, header.cells, header.separator
+    assert header.at is not None
+    at = header.at
     units: list[str | None] = []
     first = number + 1
     below = _cells(lines[first], separator) if first < len(lines) else []
     # Some gauges write the units in a line of their own.
-    has_row = (
-        len(below) > max(at)
-        and (at[0] < 0 or _time(below[at[0]], separator) is None)
-        and _number(below[at[1]], separator) is None
-    )
+    if rate_hz is None:
+        has_row = (
+            len(below) > max(at) and _time(below[at[0]], separator) is None and _number(below[at[1]], separator) is None
+        )
+    else:
+        words = _tokens(below[at[1]]) if len(below) > at[1] else []
+        has_row = bool(words) and all(word in {**_FORCE_NAMES, **_OTHER_FORCES} for word in words)
     first += 1 + has_row
     entries = (_cells(line, separator) for line in lines[first - 1 :])
     entry = next((one for one in entries if len(one) > max(at)), None)
@@ -278,10 +336,17 @@ def _with_units(
                 "that in the header"
             )
         units.append(unit)
-    unit_at = next((i for i, cell in enumerate(cells) if set(_tokens(cell)) & _UNIT_WORDS), None)
-    if unit_at is not None and units[1] is None and entry is not None and len(entry) > unit_at:
-        units[1] = _FORCE_NAMES.get(entry[unit_at].casefold())
-    unit_at = unit_at if units[1] is not None else None
+    unit_at = _unit_column(cells, at[1]) if units[1] is None and entry is not None else None
+    if unit_at is not None and entry is not None:
+        in_column = {name for word in _tokens(entry[unit_at]) if (name := {**_FORCE_NAMES, **_OTHER_FORCES}.get(word))}
+        strange = in_column & set(_OTHER_FORCES.values())
+        if strange:
+            raise SubjectError(
+                f"{path}: column {_shown(cells[unit_at])} says {strange.pop()}; convert the forces to N, kgf or lbf, "
+                "and write that there"
+            )
+        units[1] = in_column.pop() if len(in_column) == 1 else None
+        unit_at = unit_at if units[1] is not None else None
     count = cells[at[0]] if at[0] >= 0 else ""
     return LogColumns(
         count, cells[at[1]], units[0], units[1], number + 1, at, separator, first, len(cells), clock, rate_hz, unit_at
@@ -295,10 +360,9 @@ def with_units(columns: LogColumns, path: Path, time_unit: str | None, force_uni
     ------
     SubjectError : a unit that the header contradicts.
     """
+    time_unit = time_unit if columns.rate_hz is None else None
     for given, told, name in ((time_unit, columns.time_unit, columns.time),
                               (force_unit, columns.force_unit, columns.force)):  # fmt: skip
-        if columns.rate_hz is not None and name == columns.time:
-            continue
         if given is not None and told is not None and given != told:
             raise SubjectError(f"{path}: column {_shown(name)} is in {told}, but {given} was given; correct either")
     return replace(columns, time_unit=columns.time_unit or time_unit, force_unit=columns.force_unit or force_unit)
@@ -342,9 +406,15 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
         force = _number(much, columns.separator)
         if columns.unit_at is not None and columns.unit_at < len(cells):
             _check_unit(path, number, cells[columns.unit_at], columns.force_unit)
+        if columns.rate_hz is not None and _fields(line, columns) > columns.fields:
+            raise SubjectError(
+                f"{path}: line {number}: found {_shown(line)}, wanted {counted(columns.fields, 'field')} as in the "
+                f"header, line {columns.header}"
+            )
         if time is None or force is None:
             wanted = "a time of day and a force" if columns.clock else "numbers of time and force"
-            wanted = wanted if columns.rate_hz is None else "a number of force"
+            if columns.rate_hz is not None:
+                wanted = "numbers of entry and force" if columns.time else "a number of force"
             raise SubjectError(
                 f"{path}: line {number}: found {_shown(line)}, wanted {wanted}; take the line out if it is no entry"
             )
@@ -376,13 +446,25 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
         number = rows[backwards[0] + 1][0]
         same = columns.clock and times[backwards[0] + 1] == times[backwards[0]]
         wanted = "export it with parts of a second" if same else "wanted one log, in order of time"
+        if columns.rate_hz is not None:
+            column = _shown(columns.time)
+            raise SubjectError(
+                f"{path}: line {number}: the numbers of column {column} do not grow; if it does not number the "
+                "entries, give --log-columns FORCE"
+            )
         raise SubjectError(f"{path}: line {number}: the time does not grow; {wanted}")
     return _magnitudes(path, times, forces, notes)
 
 
+def _fields(line: str, columns: LogColumns) -> int:
+    """Of an entry that are not empty; of a header without a separator, between any but commas, which may be decimal."""
+    separators = tuple(one for one in SEPARATORS if one != ",") if columns.fields == 1 else (columns.separator,)
+    return max(sum(map(bool, _cells(line, separator))) for separator in separators)
+
+
 def _check_unit(path: Path, line: int, cell: str, wanted: str) -> None:
     """Raise SubjectError for an entry in another unit than the first."""
-    if cell and _FORCE_NAMES.get(cell.casefold()) != wanted:
+    if cell and {_FORCE_NAMES.get(word) for word in _tokens(cell)} != {wanted}:
         raise SubjectError(f"{path}: line {line}: a force in {_shown(cell)}, wanted {wanted} as in the first entry")
 
 
@@ -416,22 +498,56 @@ def _magnitudes(path: Path, times: Floats, forces: Floats, notes: list[str]) -> 
     return ForceLog(times, np.maximum(forces, 0.0), tuple(notes))
 
 
-def _matching(cells: list[str], names: tuple[str, ...] | None, counted: bool) -> tuple[list[int], list[int]]:
-    """Columns of time, or with ``counted`` of the entries' numbers, and of force."""
-    if names is not None:
+def _unit_column(cells: Sequence[str], force: int) -> int | None:
+    """The column with each force's unit: the next one to the right that is called so, else the last to the left."""
+    called = [i for i, cell in enumerate(cells) if i != force and set(_tokens(cell)) <= _UNIT_WORDS and _tokens(cell)]
+    return next((i for i in called if i > force), called[-1] if called else None)
+
+
+def _by_names(names: tuple[str, ...]) -> _Way:
+    """Columns of these names: of time, or numbers, and of force, or of force alone."""
+
+    def way(cells: Sequence[str]) -> tuple[list[int], list[int]]:
         found = [[i for i, cell in enumerate(cells) if cell.casefold() == name.strip().casefold()] for name in names]
-        return (found[0], found[1]) if len(found) > 1 else ([], found[0])
+        if len(found) == 1:
+            return [], found[0]
+        return (found[0], found[1]) if all(found) else ([], [])
+
+    return way
+
+
+def _by_words(cells: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Columns that say time and force, or begin with a unit of either."""
     columns = list(enumerate(map(_tokens, cells)))
     times = [i for i, words in columns if _says(words, "time")]
-    times = times or [i for i, words in columns if words and words[-1] in _TIME_NAMES]
-    others = [(i, words) for i, words in columns if i not in times]
-    # A column of another name may have the unit of a force, and one without may be the value that was measured.
-    forces = [i for i, words in others if set(words) & _FORCE_WORDS]
-    forces = forces or [i for i, words in others if words and {words[0], words[-1]} & set(_FORCE_NAMES)]
-    forces = forces or [i for i, words in others if set(words) & _VALUE_WORDS]
-    if counted:
-        times = [i for i, words in columns if i not in forces and set(words) & _COUNT_WORDS]
+    forces = [i for i, words in columns if i not in times and _says(words, "force")]
+    if [cells[i] for i in forces] == ["n"]:  # that may number the entries
+        forces += [i for i, cell in enumerate(cells) if i not in times and _FORCE_AT_END.search(cell)]
     return times, forces
+
+
+def _by_units(cells: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Columns of other names: of times of day, with a unit at their end, or of values."""
+    times, forces = _by_words(cells)
+    times = times or [i for i, cell in enumerate(cells) if set(_tokens(cell)) & _CLOCK_WORDS]
+    times = times or [i for i, cell in enumerate(cells) if _TIME_AT_END.search(cell)]
+    said = [i for i in forces if set(_tokens(cells[i])) & _FORCE_WORDS]
+    ended = [i for i, cell in enumerate(cells) if i not in times and _FORCE_AT_END.search(cell)]
+    values = [i for i, cell in enumerate(cells) if i not in times and _is_value(_tokens(cell))]
+    return times, said or ended or values or forces
+
+
+def _counted(cells: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Columns of numbers of entries, and of force."""
+    _, forces = _by_units(cells)
+    numbers = [i for i, cell in enumerate(cells) if i not in forces and set(_tokens(cell)) & _COUNT_WORDS]
+    return numbers, forces
+
+
+def _is_value(words: list[str]) -> bool:
+    """Whether a column's name says value and no more, but for a unit of force."""
+    others = [word for word in words if word not in _FORCE_NAMES]
+    return len(others) == 1 and others[0] in _VALUE_WORDS
 
 
 def _says(words: list[str], what: str) -> bool:

@@ -30,8 +30,8 @@ LAG_S = 0.1
 """At either end of the interval: the motion of a trunk that creeps by a tenth within a second lags so far behind."""
 ENOUGH_N, ENOUGH = 5.0, 0.1
 """A frame's force is known well enough within so many N, or this share of the largest."""
-SURE_FRAMES, SURE_FORCE = 0.5, 0.5
-"""Of the frames, and of the log's largest force among theirs: with so much sure, the others' forces alone stay open."""
+MOST_OPEN, SURE_FORCE = 0.1, 0.5
+"""One frame, or so many of all, may stay open alone, where another is sure of this share of the log's largest force."""
 LEAST_RISE_N = 2.0
 """A log that changes less shows no push."""
 LEAST_MOTION_PX = 0.5
@@ -113,7 +113,8 @@ def match_log(log: ForceLog, times_s: Floats, motion: Floats) -> LogMatch:
     enough = max(ENOUGH_N, ENOUGH * float(log.forces_n.max()))
     open_still = force_high - force_low > 2.0 * enough
     sure = np.delete(force_low, np.flatnonzero(open_still))
-    most = len(sure) >= SURE_FRAMES * len(times_s) and sure.max() >= SURE_FORCE * float(log.forces_n.max())
+    few = len(times_s) - len(sure) <= max(1.0, MOST_OPEN * len(times_s))
+    most = few and sure.max() >= SURE_FORCE * float(log.forces_n.max())
     why = ""
     if explained < LEAST_EXPLAINED:
         why = f"the force explains {100.0 * max(explained, 0.0):.0f} % of the motion at best"

@@ -45,6 +45,12 @@ class Logged:
         first, last = float(self.times_s[0]), float(self.times_s[-1])
         return first + self.match.offset_s, last + self.match.offset_s
 
+    def on_the_stretch_of(self, other: Logged) -> bool:
+        """Whether the frames of both lie at one time of the log, by more than their offsets leave open."""
+        (first, last), (begins, ends) = self.stretch_s, other.stretch_s
+        open_s = sum(0.5 * (one.match.high_s - one.match.low_s) for one in (self, other))
+        return min(last, ends) - max(first, begins) > open_s
+
     @property
     def forces_n(self) -> list[float | None]:
         """At the frames, to 0.1 N; None where the log tells none."""
@@ -78,11 +84,13 @@ class Logged:
         return "its radiographs tell no AcquisitionTime; their ContentTime, which may be that of processing, is taken"
 
     def table(self) -> str:
-        """CSV, a row a frame; forces are empty where the offset is not determined, or the log tells none."""
+        """CSV, a row a frame; forces are empty where the offset is not determined, or the log tells none; of
+        an uncertain frame the range is told alone."""
         lines = ["frame,time_s,log_time_s,force_n,force_low_n,force_high_n,motion_px"]
         for i, (time, motion) in enumerate(zip(self.times_s, self.motion)):
             forces = (self.match.forces_n[i], self.match.forces_low_n[i], self.match.forces_high_n[i])
-            told = [f"{force:.2f}" for force in forces] if np.isfinite(forces[0]) else [""] * 3
+            none = not np.isfinite(forces[0]) and i not in self.match.uncertain
+            told = ["" if none or not np.isfinite(force) else f"{force:.2f}" for force in forces]
             shown = [f"{time + self.match.offset_s:.3f}", *told] if self.placed else [""] * 4
             lines.append(",".join([str(i), f"{time:.3f}", *shown, f"{motion:.2f}"]))
         return "\n".join(lines) + "\n"

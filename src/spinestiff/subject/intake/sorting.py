@@ -272,11 +272,13 @@ def _at_rest(mine: Sequence[Exported], view: str, days: Set[int]) -> tuple[Expor
     same_day = [one for one in open_ if one.tags.day in days]
     if len(same_day) == 1:
         return same_day[0], f"the only single {_seen(same_day[0])} radiograph of the day of a push"
+    of_day = " of the day of a push" if same_day and len(same_day) < len(mine) else ""
     open_ = same_day or open_
     moments = sorted(one.tags.moment for one in open_ if one.tags.moment is not None)
     if open_ and len(moments) == len(open_) and moments[0] < moments[1]:
         first = min(open_, key=_moment)
-        return first, f"the first of {len(mine)} single {view} radiographs ({first.view_source})"
+        count = len(open_) if of_day else len(mine)
+        return first, f"the first of {count} single {view} radiographs{of_day} ({first.view_source})"
     return None, ""
 
 
