@@ -515,8 +515,8 @@ def test_two_pushes_on_one_stretch_of_a_log_are_left_open(spinestiff, logged):
     assert done.status == 0, done.err
     for name, other in (("left-5", "left-5-2"), ("left-5-2", "left-5")):
         assert re.search(
-            rf"log of push {name}: where it begins is not determined: it would lie at 3.\d to 10.\d s of the log, where "
-            rf"push {other} lies; give",
+            rf"log of push {name}: where it begins is not determined: it would lie at 3.\d to 10.\d s of the log, "
+            rf"where push {other} lies; give",
             done.out,
         )
     still_open = [f"pushes[{number}].forces_n[0 to 29]" for number in range(2)]
