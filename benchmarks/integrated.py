@@ -8,7 +8,8 @@ A person of ``coverage_subjects`` is pushed at three ribs and estimated on the c
 The estimate's emulator then is a model by itself: residuals over the log ratios, linear in the nuisances. At the
 estimate's ratios, taken as true, nuisances are drawn from their priors and errors from the covariance, and phi and psi
 (``estimation.weighed``) are found on a grid around, without an equilibrium. Beside the draws, the person's own corners,
-which have all the errors of ``coverage.py``, are compared with the true ratios in the same way.
+which have all the errors of ``coverage.py``, are compared with the true ratios in the same way. So are draws of which
+all nuisances and errors are made smaller than the estimate takes them to be, down to none.
 
 z of a ratio is the signed root of twice the rise of its profile at the truth: its mean is the bias in standard
 deviations, and 95 % of |z| should lie below 1.96. A person takes about 60 CPU s, 1,000 draws 40 s more.
@@ -37,22 +38,27 @@ RESULTS = ROOT / "benchmarks" / "results" / "integrated.json"
 FIRST = 41000
 KINDS = ("most probable", "integrated out")
 INSIDE = 1.96
+# Errors over what the estimate takes them to be, and draws of each; without any all draws are the same.
+SMALLER, FEW_DRAWS = (0.75, 0.5, 0.0), 300
 # The grid: to so many of the estimate's standard deviations either way, in so many places; a profile is read between
 # them by a spline.
 REACH, PLACES, BETWEEN = 4.5, 21, 301
 
 
-def drawn_z(emulator: Emulator, truth: Floats, sds: Floats, draws: int, random: np.random.Generator) -> Floats:
+def drawn_z(
+    emulator: Emulator, truth: Floats, sds: Floats, draws: int, random: np.random.Generator, sizes: Floats | float = 1.0
+) -> Floats:
     """(2, P, draws) z of each ratio, with the most probable nuisances and with nuisances integrated out.
 
     Parameters
     ----------
     truth : (P,) log ratios. sds : (P,) of the grid around.
+    sizes : (draws,) or of all, of nuisances and errors over what the estimate takes them to be.
     """
     axes = _axes(truth, truth, sds)
     free, columns = (part[0] for part in emulator.residuals(truth))
-    shown = free[:, None] + columns @ random.normal(size=(columns.shape[1], draws))
-    shown = shown + random.normal(size=shown.shape)
+    wrong = columns @ random.normal(size=(columns.shape[1], draws)) + random.normal(size=(len(free), draws))
+    shown = free[:, None] + sizes * wrong
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(truth))
     phi, precision = np.empty((len(grid), draws)), np.empty(len(grid))
     for row, where in enumerate(grid):
@@ -106,6 +112,9 @@ def run_one(seed: int, draws: int) -> dict[str, Any]:
     sds = (likely.high - likely.low) / (2.0 * INSIDE)
     best, truth = np.log(fit.ratios.values), np.log([subject.ratios[name] for name in NAMES])
     z = drawn_z(likely.emulator, best, sds, draws, np.random.default_rng([41, seed]))
+    few = np.repeat(SMALLER, [FEW_DRAWS if size else 1 for size in SMALLER])
+    smaller = drawn_z(likely.emulator, best, sds, len(few), np.random.default_rng([43, seed]), few)[1]
+    row["smaller errors"] = {f"{size:g}": smaller[:, few == size].mean(axis=1).tolist() for size in SMALLER}
     for kind, own, persons in zip(KINDS, z, own_z(likely.emulator, best, truth, sds)):
         row[kind] = {
             "own_z": persons.tolist(),
@@ -136,6 +145,9 @@ def summed_up(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     for kind in KINDS:
         keys = ("mean_z", "sd_of_z", "inside95", "own_z")
         result[kind] = {key: _over_people([row[kind][key] for row in found]) for key in keys}
+    result["smaller errors, mean z"] = {
+        f"{size:g}": _over_people([row["smaller errors"][f"{size:g}"] for row in found]) for size in SMALLER
+    }
     moved = [np.subtract(row[KINDS[1]]["own_z"], row[KINDS[0]]["own_z"]) for row in found]
     result["own_z_moved"] = _over_people(moved)
     return {**result, "code": sorted({row["code"] for row in found})}

@@ -29,6 +29,15 @@ def test_the_most_probable_nuisances_draw_towards_what_they_do_most_to():
     assert (np.abs(out) < 1.96).mean() > (np.abs(most) < 1.96).mean()
 
 
+def test_errors_smaller_than_they_are_taken_to_be_draw_to_what_makes_them_small():
+    """What is soft moves far under each nuisance: seen without any, it is taken for something stiffer."""
+    sizes = np.repeat([1.0, 0.5, 0.0], [2000, 2000, 1])
+    _, out = integrated.drawn_z(Scaled(), np.zeros(1), np.array([0.2]), len(sizes), np.random.default_rng(1), sizes)
+    whole, half, none = (out[0, sizes == size].mean() for size in (1.0, 0.5, 0.0))
+    assert none > half > whole + 0.1
+    assert np.std(out[0, sizes == 0.5]) < 0.6 * np.std(out[0, sizes == 1.0])
+
+
 def test_a_persons_own_truth_is_as_far_off_as_the_two_say():
     """Two parabolas of standard deviation 0.2, half a log apart."""
 
@@ -48,6 +57,7 @@ def row(seed, means):
         "seed": seed,
         "draws": 10,
         "code": "a",
+        "smaller errors": {"0.75": [means[1], 0.0], "0.5": [2.0 * means[1], 0.0], "0": [seed, 0.0]},
         **{
             kind: {"mean_z": [m, 0.0], "sd_of_z": [1.0, 1.0], "inside95": [0.9, 0.95], "own_z": [seed + m, 1.0]}
             for kind, m in zip(integrated.KINDS, means)
@@ -61,6 +71,8 @@ def test_what_is_summed_up():
     assert found["most probable"]["mean_z"]["lateral_bending"] == pytest.approx([-0.2, 0.1])
     assert found["own_z_moved"]["lateral_bending"] == pytest.approx([0.25, 0.15])
     assert found["integrated out"]["inside95"]["lateral_bending"][0] == pytest.approx(0.9)
+    assert found["smaller errors, mean z"]["0.5"]["lateral_bending"] == pytest.approx([0.1, 0.1])
+    assert found["smaller errors, mean z"]["0"]["lateral_bending"] == pytest.approx([1.5, 0.5])
     assert integrated.summed_up([row(1, (-0.3, 0.1))])["own_z_moved"]["tissue"] == [0.0, None]
     with pytest.raises(SystemExit, match="no row has figures"):
         integrated.summed_up([{"seed": 3, "not made": "why"}])
