@@ -7,6 +7,7 @@ import re
 _COMMAND = re.compile(r"run spinestiff \w+(?: again| --redo)*(?: with --method weighed)?")
 _OPTIONS = (
     (", or, if the log has no times but a steady rate, give --log-rate HZ", ""),
+    (", or give --log-rate HZ", ""),
     (", or, where the same radiographs were annotated again, --annotators", ""),
     ("name them as it does with --log-columns TIME,FORCE", "name them as it does"),
     ("give --log-columns TIME,FORCE", "give the names of both columns"),

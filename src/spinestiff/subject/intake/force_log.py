@@ -445,7 +445,9 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
     if len(backwards):
         number = rows[backwards[0] + 1][0]
         same = columns.clock and times[backwards[0] + 1] == times[backwards[0]]
-        wanted = "export it with parts of a second" if same else "wanted one log, in order of time"
+        wanted = (
+            "export it with parts of a second, or give --log-rate HZ" if same else "wanted one log, in order of time"
+        )
         if columns.rate_hz is not None:
             column = _shown(columns.time)
             raise SubjectError(
