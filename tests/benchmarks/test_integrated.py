@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -76,3 +78,20 @@ def test_what_is_summed_up():
     assert integrated.summed_up([row(1, (-0.3, 0.1))])["own_z_moved"]["tissue"] == [0.0, None]
     with pytest.raises(SystemExit, match="no row has figures"):
         integrated.summed_up([{"seed": 3, "not made": "why"}])
+
+
+def test_the_page_has_the_stored_figures_of_smaller_errors():
+    page = (integrated.ROOT / "docs" / "estimation.md").read_text(encoding="utf-8")
+    stored = json.loads(integrated.RESULTS.read_text(encoding="utf-8"))
+    columns = [stored["integrated out"]["mean_z"], *stored["smaller errors, mean z"].values()]
+    for name, title in (("lateral_bending", "bending"), ("tissue", "tissue")):
+        cells = " | ".join(f"{mean:.2f} ± {error:.2f}" for mean, error in (one[name] for one in columns))
+        assert f"| mean z of {title} | {cells} |" in page
+
+
+def test_the_page_has_what_is_left_of_an_error_where_all_is_given():
+    page = (integrated.ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
+    stored = json.loads((integrated.RESULTS.parent / "shared_error_few.json").read_text(encoding="utf-8"))
+    nothing, torso, _, everything = (one["lateral_bending"]["mean_over_sd"] for one in stored["given"].values())
+    assert f"off by {nothing:.2f} standard deviations of the estimate on average, by {torso:.2f} on the true" in page
+    assert f"still by {everything:.2f} where true torso, corners, forces and ribs are given" in page
