@@ -16,6 +16,7 @@ import pytest
 from hospital import CANARY, disc, export, gauged
 from spinestiff.app import questions
 from spinestiff.app.init import Asked, force_words, make_subject
+from spinestiff.app.init_logs import LogOptions
 from spinestiff.errors import OptionError, SpinestiffError
 from spinestiff.files import read_json, write_json
 from spinestiff.subject.folder import read_unannotated
@@ -685,7 +686,9 @@ def test_columns_and_units_of_a_log_are_confirmed_before_any_other_question(logg
     folder, _ = logged
     said = answering(monkeypatch, **{"is that right": ["no"]})
     with pytest.raises(OptionError, match="columns and units were not confirmed; say them with --log-columns and --lo"):
-        make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=(str(folder / "gauge.csv"),), may_ask=True))
+        make_subject(
+            folder / "a", [folder / "in"], Asked(Given(), logs=LogOptions((str(folder / "gauge.csv"),)), may_ask=True)
+        )
     assert said == [CONFIRM]
 
 
@@ -714,7 +717,7 @@ def test_a_log_that_is_refused_loses_no_answers(logged, monkeypatch, log, option
     monkeypatch.chdir(folder)
     said = answering(monkeypatch)
     with pytest.raises(SpinestiffError, match=re.escape(words)):
-        make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=(log,), may_ask=True, **options))
+        make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=LogOptions((log,), **options), may_ask=True))
     assert [question for question in said if "is that right" not in question] == []
 
 
@@ -722,7 +725,7 @@ def test_a_push_of_a_log_is_named_as_the_table_shows_it(logged, monkeypatch, cap
     folder, true = logged
     answering(monkeypatch)
     log = f"push-1={folder / 'gauge.csv'}"
-    make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=(log,), offsets=("push-1=3.1",), may_ask=True))
+    make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=LogOptions((log,), ("push-1=3.1",)), may_ask=True))
     subject = read_unannotated(folder / "a")
     assert subject.gaps == () and [push.id for push in subject.pushes] == ["left-5"]
     np.testing.assert_allclose(subject.pushes[0].forces_n, true, atol=0.6)
@@ -747,7 +750,9 @@ def test_an_offset_that_can_not_be_is_asked_for_again(logged, monkeypatch, capsy
     folder, _ = logged
     (folder / "flat.csv").write_text("time_s,force_n\n" + "\n".join(f"{i / 10},1.5" for i in range(200)))
     answering(monkeypatch, **{"time of the log": ["inf", "nan", "300", "2"]})
-    make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=(str(folder / "flat.csv"),), may_ask=True))
+    make_subject(
+        folder / "a", [folder / "in"], Asked(Given(), logs=LogOptions((str(folder / "flat.csv"),)), may_ask=True)
+    )
     assert read_unannotated(folder / "a").pushes[0].forces_n == (1.5,) * 30
     complaints = capsys.readouterr().err
     for words in ("found 'inf', wanted a number", "found 'nan', wanted a number", "frames lie 287.4 s beyond its ends"):

@@ -135,6 +135,7 @@ def init(
 ) -> None:
     """Make a subject folder from a hospital's DICOM files; what is not known stays open, and is named."""
     from spinestiff.app.init import Asked, make_subject
+    from spinestiff.app.init_logs import LogOptions
     from spinestiff.app.questions import on_terminal
     from spinestiff.subject.intake.making import Given
 
@@ -151,8 +152,8 @@ def init(
         {key: value for key, value in part.items() if value is not None} for part in (person, push, geometry)
     )
     given = Given(told, of_pushes, of_all, lengths, by_level("--trunk", trunk or ()))
-    asked = Asked(given, id, pushes, study, frontal, lateral, tuple(log or ()), tuple(log_offset or ()), log_columns,
-                  log_units, log_rate, not no_questions and on_terminal())  # fmt: skip
+    logs = LogOptions(tuple(log or ()), tuple(log_offset or ()), log_columns, log_units, log_rate)
+    asked = Asked(given, id, pushes, study, frontal, lateral, logs, not no_questions and on_terminal())
     make_subject(out, sources or [], asked)
 
 
