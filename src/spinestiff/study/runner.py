@@ -49,17 +49,6 @@ XRAY, FRAMES, FORCES = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry",
 BODY, PERSON, SUPPORTS = (f"{SUBJECT_FILE}: {part}" for part in ("body", "person", "supports"))
 REST_MARKS, PUSH_MARKS = f"{ANNOTATION_FILE}: rest", f"{ANNOTATION_FILE}: pushes"
 SHAPE = ("torso.npz", "personalised.json")
-MADE_BY = {
-    "tracked.json": "track",
-    "response.json": "response",
-    "torso.npz": "personalise",
-    "personalised.json": "personalise",
-    "estimate.json": "estimate",
-    "training.npz": "estimate",
-    "assessment.json": "assess",
-    "predictions.npz": "assess",
-}
-"""Results that later steps read, and the step that makes them."""
 _log = logging.getLogger(__name__)
 
 
@@ -254,7 +243,7 @@ def run_steps(
         if name not in steps:
             continue
         for result in step.results:
-            _refuse_stale(visit, result)
+            _refuse_stale(visit, result, known)
         record = step.record(visit)
         if not force and is_current(visit.subject, name, _as_compared(visit, name, record)):
             say(f"{name}: up to date")
@@ -308,9 +297,9 @@ def _as_compared(visit: Visit, name: str, record: StepRecord) -> StepRecord:
     )
 
 
-def _refuse_stale(visit: Visit, result: str) -> None:
+def _refuse_stale(visit: Visit, result: str, known: Mapping[str, Step]) -> None:
     """Raise SubjectError unless a result of an earlier step is there, as written, and made from what is there now."""
-    step = MADE_BY[result]
+    step = next(name for name, step in known.items() if result in step.outputs(visit))
     path = result_path(visit.subject, result, step)
     if why := why_stale(visit.subject, step):
         raise SubjectError(f"{path}: was {why}; run spinestiff {step} again, or spinestiff run")
