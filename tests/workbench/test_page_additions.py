@@ -369,3 +369,27 @@ def test_a_log_with_times_of_day_and_letters_of_its_own_gives_the_forces(tab, ro
         assert len(tab.complaints) == 1 and "422" in tab.complaints[0]
     forces = read_json(root / "new" / "subject.json")["pushes"][0]["forces_n"]
     assert max(abs(one - other) for one, other in zip(forces, true, strict=True)) < 2.5
+
+
+def test_a_log_without_times_gives_the_forces_by_its_entries_a_second(tab, root, serve, tmp_path):
+    true = gauged(tmp_path)
+    rows = (tmp_path / "gauge.csv").read_text(encoding="utf-8").splitlines()[1:]
+    log = tmp_path / "numbered.csv"
+    log.write_text("\n".join(["Nr;Kraft (kgf)", *(f"{i};{row.split(';')[1]}" for i, row in enumerate(rows))]))
+    with serve(root, sources=(tmp_path / "in",)) as served:
+        source = served.good("GET", "/api/sources")["sources"][0]["key"]
+        made = {"origin": "source", "key": source, "name": "new", "person": {}}
+        key = served.good("POST", "/api/subjects", made)["key"]
+        load(tab, served.address)
+        go(tab, f"/subject/{key}/form")
+        tab.run("(document.querySelector('#log-0-file').closest('details').open = true, 1)")
+        files(tab, "#log-0-file", [log])
+        click(tab, "#log-0-read")
+        tab.until("document.querySelector('#problem').innerText.includes('give its entries a second')")
+        fill(tab, "#log-0-rate", "50")
+        click(tab, "#log-0-read")
+        tab.until("document.querySelector('#room').innerText.includes('50 a second')")
+        click(tab, "#room details[open] button.main")
+        tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+    forces = read_json(root / "new" / "subject.json")["pushes"][0]["forces_n"]
+    assert max(abs(one - other) for one, other in zip(forces, true, strict=True)) < 2.5

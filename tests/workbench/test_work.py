@@ -285,6 +285,29 @@ def test_a_gauges_log_gives_the_forces_and_writes_nothing(root, serve, tmp_path)
         assert content_of(root / "new") == before
 
 
+def test_a_log_without_times_needs_its_entries_a_second(root, serve, tmp_path):
+    true = gauged(tmp_path)
+    rows = [row.split(";") for row in (tmp_path / "gauge.csv").read_text(encoding="utf-8").splitlines()[1:]]
+    times, steps = [float(ms) / 1000.0 for ms, _ in rows], 20
+    even = [round(i / steps, 6) for i in range(int(times[0] * steps), int(times[-1] * steps) + 1)]
+    forces = np.interp(even, times, [float(force.replace(",", ".")) for _, force in rows])
+    text = "Nr;Load (kgf)\n" + "\n".join(f"{i};{force:.3f}" for i, force in enumerate(forces, 1))
+    with serve(root, sources=(tmp_path / "in",)) as served:
+        source = served.good("GET", "/api/sources")["sources"][0]["key"]
+        made = {"origin": "source", "key": source, "name": "new", "person": {}}
+        key = served.good("POST", "/api/subjects", made)["key"]
+        asked = {"push": 0, "text": text}
+        status, body = served.json("POST", f"/api/subjects/{key}/log", asked)
+        assert status == 422 and "a steady rate, give its entries a second" in body["error"]
+        for named in ({}, {"columns": ["Load (kgf)"]}):
+            found = served.good("POST", f"/api/subjects/{key}/log", {**asked, **named, "rate_hz": steps})
+            assert "20 a second" in found["columns"] and found["placed"]
+            np.testing.assert_allclose(found["forces_n"], true, atol=2.5)
+        for bad, words in (({"rate_hz": 0.0}, "rate_hz"), ({"columns": ["load"]}, "names of both columns")):
+            status, body = served.json("POST", f"/api/subjects/{key}/log", {**asked, **bad})
+            assert status in (400, 422) and words in body["error"] and "--" not in body["error"], body
+
+
 @POSIX
 def test_values_are_not_changed_under_a_run(served, root):
     from spinestiff.subject.lock import sole_run

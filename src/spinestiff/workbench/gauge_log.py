@@ -22,12 +22,16 @@ from spinestiff.workbench.page_words import page_words
 
 @dataclass(frozen=True)
 class LogWish:
-    """What somebody says of a log: names of its columns and their units, and its time at the first frame, s."""
+    """What somebody says of a log: names of its columns and their units, and its time at the first frame, s.
 
-    columns: tuple[str, str] | None = None
+    ``rate_hz`` : of one without times, entries a second; the name of the column of force suffices then.
+    """
+
+    columns: tuple[str, str] | tuple[str] | None = None
     time_unit: str | None = None
     force_unit: str | None = None
     offset_s: float | None = None
+    rate_hz: float | None = None
 
 
 def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> dict[str, Any]:
@@ -39,13 +43,15 @@ def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> di
     """
     if not 0 <= number < len(subject.pushes):
         raise SubjectError(f"the request: no push {number}")
+    if wish.columns is not None and len(wish.columns) < 2 and wish.rate_hz is None:
+        raise SubjectError("the log: give the names of both columns, or, if it has no times, its entries a second")
     push = subject.pushes[number]
     check_radiograph_path(subject, push.image)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "log.csv"
         write_text(path, text)
         try:
-            columns = find_columns(path, wish.columns)
+            columns = find_columns(path, wish.columns, wish.rate_hz)
             time_unit, force_unit = wish.time_unit or columns.time_unit, wish.force_unit or columns.force_unit
             for what, unit, known in (("time", time_unit, TIME_UNITS), ("force", force_unit, FORCE_UNITS)):
                 if unit not in known:

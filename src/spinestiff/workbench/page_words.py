@@ -6,11 +6,15 @@ import re
 
 _COMMAND = re.compile(r"run spinestiff \w+(?: again| --redo)*(?: with --method weighed)?")
 _OPTIONS = (
-    (", or, if the log has no times but a steady rate, give --log-rate HZ", ""),
-    (", or give --log-rate HZ", ""),
+    ("give --log-rate HZ", "give its entries a second"),
+    ("; leave out --log-rate for this log", "; leave out its entries a second"),
     (", or, where the same radiographs were annotated again, --annotators", ""),
     ("name them as it does with --log-columns TIME,FORCE", "name them as it does"),
     ("give --log-columns TIME,FORCE", "give the names of both columns"),
+    ("name them as it does with --log-columns FORCE", "name it as it does"),
+    ("give --log-columns FORCE, or NUMBER,FORCE", "give the name of the column of force"),
+    ("give --log-columns FORCE", "give the name of the column of force"),
+    ("--log-columns names time first, then force", "name time first, then force"),
     ("--log-units", "the units"),
 )
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from fastapi import FastAPI, Response
 from pydantic import Field
 
 from spinestiff.loopback.asking import Body, Sent, sendable, sent
 from spinestiff.subject.folder import read_unannotated
+from spinestiff.subject.intake.force_log import RATES_HZ
 from spinestiff.workbench.bench import Bench
 from spinestiff.workbench.cards import card
 from spinestiff.workbench.form import form_record, judged, save_form
@@ -16,6 +17,8 @@ from spinestiff.workbench.gauge_log import LogWish, forces_of_log
 from spinestiff.workbench.overview import overview_csv
 
 Column = Annotated[str, Field(min_length=1, max_length=100)]
+T = TypeVar("T")
+Names = Annotated[T, Field(strict=False)]  # a JSON list for a tuple
 
 
 class Check(Sent):
@@ -42,10 +45,11 @@ class Log(Sent):
 
     push: Annotated[int, Field(ge=0, le=999)]
     text: str
-    columns: Annotated[tuple[Column, Column], Field(strict=False)] | None = None
+    columns: Names[tuple[Column, Column]] | Names[tuple[Column]] | None = None
     time_unit: Literal["s", "ms"] | None = None
     force_unit: Literal["N", "kgf", "lbf"] | None = None
     offset_s: Annotated[float, Field(ge=-1e9, le=1e9)] | None = None
+    rate_hz: Annotated[float, Field(ge=RATES_HZ[0], le=RATES_HZ[1])] | None = None
 
 
 def add_subjects(app: FastAPI, bench: Bench) -> None:
@@ -96,7 +100,7 @@ def add_subjects(app: FastAPI, bench: Bench) -> None:
     @app.post("/api/subjects/{key}/log")
     def log(key: str, body: Body) -> dict[str, Any]:
         asked, subject = sent(body, Log), read_unannotated(root.subject(key))
-        wish = LogWish(asked.columns, asked.time_unit, asked.force_unit, asked.offset_s)
+        wish = LogWish(asked.columns, asked.time_unit, asked.force_unit, asked.offset_s, asked.rate_hz)
         return forces_of_log(subject, asked.push, asked.text, wish)
 
     @app.get("/api/trash")

@@ -31,6 +31,7 @@ export function gaugeLog(key: string, push: number, take: (forces: number[]) => 
   const file = h("input", { type: "file", accept: ".csv,.txt,.tsv,.log,.dat", id: id("file") });
   const [timeField, time] = text("time", "Column of time, if it is not found"), [forceField, force] = text("force", "Column of force, if it is not found");
   const [timeUnitField, timeUnit] = choice("time-unit", "Unit of time", ["s", "ms"]), [forceUnitField, forceUnit] = choice("force-unit", "Unit of force", ["N", "kgf", "lbf"]);
+  const [rateField, rate] = text("rate", "Entries a second, Hz, of a log without times");
   const [offsetField, offset] = text("offset", "Time of the log at the first frame, s; else found from the motion");
   const below = h("div", { role: "status" });
   const read = button("Read the log", () => act(async () => {
@@ -38,12 +39,14 @@ export function gaugeLog(key: string, push: number, take: (forces: number[]) => 
     const chosen = file.files?.[0];
     if (!chosen) throw new Error("choose the log first");
     if (chosen.size > LARGEST) throw new Error(`the log has ${(chosen.size / 2 ** 20).toFixed(1)} MB; at most 3 MB are read`);
-    const at = typed(offset.value);
+    const at = typed(offset.value), hz = typed(rate.value);
     if (typeof at === "string") throw new Error("the time at the first frame is no number");
+    if (typeof hz === "string") throw new Error("the entries a second are no number");
+    const columns = time.value && force.value ? [time.value, force.value] : hz !== null && force.value ? [force.value] : null;
     below.replaceChildren("Putting it beside the frames …");
     try {
       below.replaceChildren(shown(await api.gaugeLog(key, {
-        push, text: await textOf(chosen), ...(time.value && force.value ? { columns: [time.value, force.value] } : {}),
+        push, text: await textOf(chosen), ...(columns ? { columns } : {}), ...(hz === null ? {} : { rate_hz: hz }),
         ...(timeUnit.value ? { time_unit: timeUnit.value } : {}), ...(forceUnit.value ? { force_unit: forceUnit.value } : {}), ...(at === null ? {} : { offset_s: at }),
       }), take));
     } catch (error) {
@@ -52,7 +55,7 @@ export function gaugeLog(key: string, push: number, take: (forces: number[]) => 
     }
   }, read), { id: id("read") });
   return h("details", {}, h("summary", {}, "Forces from a gauge’s log"), h("p", {}, h("label", {}, "A table of time and force (CSV): ", file)),
-    h("div", { class: "grid" }, timeUnitField, forceUnitField, timeField, forceField, offsetField), h("p", {}, read), below);
+    h("div", { class: "grid" }, timeUnitField, forceUnitField, timeField, forceField, rateField, offsetField), h("p", {}, read), below);
 }
 
 function shown(found: api.GaugeLog, take: (forces: number[]) => void): HTMLElement {
