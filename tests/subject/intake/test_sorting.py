@@ -58,6 +58,17 @@ def test_a_rest_radiograph_of_the_day_of_the_push_goes_before_others(exported):
     assert names(sort_files([a, b]))[0] == "a"
 
 
+def test_a_frontal_one_at_rest_of_after_a_push_is_told(exported):
+    push, later = exported("p", frames=3, time="110000"), exported("a", time="113000")
+    side = exported("s", "lateral", time="114000")
+    told = "; but it was taken after a push began: check that it is at rest"
+    sorting = sort_files([later, side, push])
+    assert names(sorting) == ("a", "s", [["p"]])
+    assert sorting.reasons["a"].endswith(told) and told not in sorting.reasons["s"]
+    assert told not in sort_files([exported("b", time="105900"), push]).reasons["b"]
+    assert told not in sort_files([later, push], frontal=later).reasons["a"]
+
+
 def test_words_of_the_series_go_before_time(exported):
     found = [exported("a", time="101000"), exported("b", time="102000", SeriesDescription="AP standing")]
     sorting = sort_files(found)

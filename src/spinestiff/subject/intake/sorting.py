@@ -164,6 +164,8 @@ def sort_files(
             reasons[rest_view.name] += (
                 "; but it is of a push's series, and nothing tells its time: check that it is at rest"
             )
+        if view == "frontal" and frontal is None and _is_after(rest_view, pushes):
+            reasons[rest_view.name] += "; but it was taken after a push began: check that it is at rest"
     for one in left:
         if one.name not in reasons:
             reasons[one.name] = _left_out(one, table is not None)
@@ -280,6 +282,12 @@ def _at_rest(mine: Sequence[Exported], view: str, days: Set[int]) -> tuple[Expor
         count = len(open_) if of_day else len(mine)
         return first, f"the first of {count} single {view} radiographs{of_day} ({first.view_source})"
     return None, ""
+
+
+def _is_after(one: Exported, pushes: Sequence[PushFiles]) -> bool:
+    """Whether a radiograph is later than the first of a push."""
+    begun = [file.tags.moment for push in pushes for file in push.files if file.tags.moment is not None]
+    return one.tags.moment is not None and bool(begun) and one.tags.moment > min(begun)
 
 
 def _another(one: Exported, view: str, chosen: Exported | None) -> str:
