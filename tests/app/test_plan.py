@@ -161,6 +161,19 @@ def test_a_report_that_is_there_shows_the_new_plan(spinestiff, subject, monkeypa
     ran = spinestiff("plan", subject)
     assert ran.status == 0 and "plan: the report does not show this plan yet: the disk is full" in ran.err
     assert is_unchanged(read_subject(subject), "plan")
+
+    # Stopped before its sheet is written, a plan is none.
+    def stops(*_):
+        raise SubjectError("stopped")
+
+    with monkeypatch.context() as only_here:
+        only_here.setattr("spinestiff.app.plan.write_text", stops)
+        only_here.setattr("spinestiff.app.plan.make_plan", lambda *_: PLAN.model_copy(update={"taken": 5}))
+        assert spinestiff("plan", subject).status == 2
+    assert not is_unchanged(read_subject(subject), "plan")
+    assert spinestiff("plan", subject).status == 0 and is_unchanged(read_subject(subject), "plan")
+    (subject / "results" / "protocol.html").write_text("of another push", encoding="utf-8")
+    assert not is_unchanged(read_subject(subject), "plan")
     # Before any report there is none to be made anew.
     (subject / "results" / "run.json").unlink()
     monkeypatch.setattr("spinestiff.app.plan.run_steps", lambda *_: None)

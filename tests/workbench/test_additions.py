@@ -126,6 +126,9 @@ def test_words_of_the_command_line_do_not_reach_the_page(served, tmp_path):
         look = served.good("POST", "/api/look", {"origin": "upload", "key": upload, **choice})
         assert len(look["files"]) == 4
         assert "--" not in json.dumps(look["files"]), look["files"]
+    alone = {"origin": "upload", "key": upload, "table": f"{TABLE}\nI0,0,0,,,,,"}
+    status, refused = served.json("POST", "/api/look", alone)
+    assert status == 422 and "leave the row out and choose it below" in refused["error"], refused
 
 
 def test_a_picture_is_pixels_and_nothing_else(served, tmp_path):

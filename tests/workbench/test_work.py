@@ -32,13 +32,14 @@ from spinestiff.imaging.radiograph import read_radiographs
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import read_subject, read_unannotated, write_annotation
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
+from spinestiff.subject.records import FurtherViewRecord, PushRecord, SubjectRecord
 from spinestiff.subject.run_record import record_step, step_record, write_outcome
 from spinestiff.workbench import job_process, parcel
 from spinestiff.workbench.bench import open_bench
 from spinestiff.workbench.job_process import run_job, start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
 from spinestiff.workbench.jobs import Jobs
-from spinestiff.workbench.parcel import nameless_parcel
+from spinestiff.workbench.parcel import KEPT, nameless_parcel
 from spinestiff.workbench.rooms import open_root
 from spinestiff.workbench.unzip import unzip
 from spinestiff.workbench.verbs import command_of
@@ -577,6 +578,17 @@ def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_pa
     new = pydicom.dcmread(tmp_path / "bare" / subject.pushes[0].frames)
     assert (new.pixel_array == old.pixel_array).all() and new.PatientIdentityRemoved == "YES"
     assert list(served.bench.parcels.folder.iterdir()) == []
+
+
+def test_what_leaves_a_house_is_named_value_by_value():
+    """A value that records get later on stays inside until somebody has judged it."""
+    told_anew = {
+        SubjectRecord: {"schema_version", "id", "pushes", "torso", "skin_scan"},
+        PushRecord: {"id", "frames", "views", "markers"},
+        FurtherViewRecord: {"id", "files"},
+    }
+    for kind, others in told_anew.items():
+        assert KEPT[kind] | others == set(kind.model_fields) and not KEPT[kind] & others
 
 
 def test_zip_files_without_names_have_ids_of_their_own_and_name_what_they_leave_out(root, tmp_path):

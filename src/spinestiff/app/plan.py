@@ -152,9 +152,9 @@ def _write(visit: Visit, plan: Plan, wish: Wish) -> None:
     inputs = {*ALL_STEPS[step].inputs(visit), *recorded_steps(subject)[step].outputs, PUSHES}
     record = step_record(subject, inputs, asdict(wish))
     write_outcome(subject, plan)
-    record_step(subject, Plan.STEP, record, [visit.file(Plan.FILE)])
     write_bytes(visit.file("plan.png"), picture)
     write_text(visit.file("protocol.html"), sheet)
+    record_step(subject, Plan.STEP, record, [visit.file(name) for name in (Plan.FILE, "plan.png", "protocol.html")])
 
 
 def _told(plan: Plan, push: PlannedPush) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, FastAPI, Request
@@ -60,8 +61,8 @@ class Told(JSONResponse):
         return sendable(json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))).encode()
 
 
-def bare_application() -> FastAPI:
-    """An application without pages of its own, whose failures are one line of JSON each."""
+def bare_application(words: Callable[[str], str] = str) -> FastAPI:
+    """An application without pages of its own, whose failures are one line of JSON each, as ``words`` says them."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, default_response_class=Told)
 
     @app.exception_handler(SpinestiffError)
@@ -72,7 +73,7 @@ def bare_application() -> FastAPI:
             (NotThere, 404),
         )
         status = next((status for kind, status in statuses if isinstance(error, kind)), 422)
-        return Told({"error": " ".join(str(error).split())}, status)
+        return Told({"error": " ".join(words(str(error)).split())}, status)
 
     @app.exception_handler(RequestValidationError)
     def malformed(_: Request, error: Exception) -> Told:

@@ -22,6 +22,7 @@ from spinestiff.subject.intake.adding import is_place, is_scan_place, markers_pl
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE, SubjectRecord
 from spinestiff.workbench.form_words import RATIO_GROUPS, RATIO_PARTS, WORDS
+from spinestiff.workbench.page_words import page_words
 
 FIXED = frozenset({"schema_version", "frames", "files", "file", "torso"})
 """Keys whose values no page may set: the form's version, and names of files."""
@@ -38,11 +39,6 @@ CHOICES = {
 """What may be chosen where the schema takes any word: ratios as groups and parts, the latter also between two of
 ``chain``; its last, the sacrum, is no vertebra."""
 _CHECKS: dict[str, Callable[[Any], object]] = {"priors": given_priors, "population": check_population}
-_FOR_A_PAGE = {
-    "wanted object_mm, object_px and perhaps plane; or vertebra and width_mm": "not whole yet: wanted length and both "
-    "ends of an object, or a vertebra and its width"
-}
-"""Words of the schema that name its keys, and what stands for them on the page."""
 NAMES_STAY = "names of files, pushes and views can't be changed here"
 
 
@@ -68,7 +64,7 @@ def judged(values: dict[str, Any]) -> dict[str, Any]:
     complaints = open_complaints(values)
     complaints += _beyond_schema(values, complaints)
     return {
-        "problems": [{"field": field, "text": _FOR_A_PAGE.get(text, text)} for field, text in complaints],
+        "problems": [{"field": field, "text": page_words(text)} for field, text in complaints],
         "open": [{"field": field, "text": gap.words} for gap in gaps_of(values) for field in _fields(gap)],
     }
 

@@ -22,22 +22,12 @@ from spinestiff.subject.intake.making import Given
 from spinestiff.subject.intake.push_table import LARGEST_BYTES, TableRow, parse_push_table, pushes_of
 from spinestiff.subject.intake.sorting import Sorting, sort_files, uses_of
 from spinestiff.words import counted
+from spinestiff.workbench.page_words import page_words
 from spinestiff.workbench.rooms import Root
 
 MOST_LEFT_OUT = 200
 LEFT_OUT = "left out"
 """What a radiograph becomes that is of no use."""
-_OPTIONS = (
-    ("; name it with --frontal or --lateral, or in --pushes", "; choose it below, or name it in the table of pushes"),
-    ("say which is at rest with --", "choose below which is at rest, "),
-    ("named by --", "chosen as the radiograph at rest, "),
-    ("but --frontal names another", "but another was chosen"),
-    ("but --lateral names another", "but another was chosen"),
-    ("if it shows a push, name it in --pushes", "if it shows a push, mark it with the others of that push"),
-    ("a push; name it in --pushes", "a push; mark it with the others of that push"),
-    ("--pushes", "the table of pushes"),
-)
-"""Words of ``sorting`` that name options of the command line, and what stands for them on the page."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +117,7 @@ def look_record(
             "frames": one.frames,
             "view": one.view or "",
             "use": uses.get(one.name, LEFT_OUT),
-            "why": for_a_page(reasons[one.name]),
+            "why": page_words(reasons[one.name]),
         }
         for one in sorted(chosen, key=lambda one: (one.name not in uses, one.tags.moment or 0.0, one.name))
     ]
@@ -161,13 +151,6 @@ def _known_of(study: Study, several: bool) -> str:
     who = f"Patient {study.patient}" if several else ""
     about = ", ".join(filter(None, (who, study.when or "no date", study.description)))
     return f"{about}: {counted(len(study.files), 'picture')}" + (f", {study.kinds}" if study.kinds else "")
-
-
-def for_a_page(words: str) -> str:
-    """Words of the command line as the page says them."""
-    for option, said in _OPTIONS:
-        words = words.replace(option, said)
-    return words
 
 
 def make_newcomer(root: Root, name: str, export: Export, wish: Wish, person: Mapping[str, Any]) -> str:

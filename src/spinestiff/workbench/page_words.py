@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 _COMMAND = re.compile(r"run spinestiff \w+(?: again| --redo)*(?: with --method weighed)?")
-_OPTIONS = (
+_SAID = (
     ("give --log-rate HZ", "give its entries a second"),
     ("; leave out --log-rate for this log", "; leave out its entries a second"),
     (", or, where the same radiographs were annotated again, --annotators", ""),
@@ -16,11 +16,24 @@ _OPTIONS = (
     ("give --log-columns FORCE", "give the name of the column of force"),
     ("--log-columns names time first, then force", "name time first, then force"),
     ("--log-units", "the units"),
+    ("; name it with --frontal or --lateral, or in --pushes", "; choose it below, or name it in the table of pushes"),
+    ("say which is at rest with --", "choose below which is at rest, "),
+    ("named by --", "chosen as the radiograph at rest, "),
+    ("but --frontal names another", "but another was chosen"),
+    ("but --lateral names another", "but another was chosen"),
+    ("if it shows a push, name it in --pushes", "if it shows a push, mark it with the others of that push"),
+    ("a push; name it in --pushes", "a push; mark it with the others of that push"),
+    ("name it with --frontal", "choose it below"),
+    ("--pushes", "the table of pushes"),
+    (
+        "wanted object_mm, object_px and perhaps plane; or vertebra and width_mm",
+        "not whole yet: wanted length and both ends of an object, or a vertebra and its width",
+    ),
 )
 
 
 def page_words(words: str) -> str:
     """A message in one line, with what the page has in the place of commands and options."""
-    for option, here in _OPTIONS:
+    for option, here in _SAID:
         words = words.replace(option, here)
     return " ".join(_COMMAND.sub("run it again", words).split())

@@ -25,7 +25,15 @@ from spinestiff.imaging.radiograph import read_scans
 from spinestiff.loopback.asking import sendable
 from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated
 from spinestiff.subject.lock import sole_run
-from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SUBJECT_FILE
+from spinestiff.subject.record_reading import Record
+from spinestiff.subject.records import (
+    ANNOTATION_FILE,
+    REST_IMAGES,
+    SUBJECT_FILE,
+    FurtherViewRecord,
+    PushRecord,
+    SubjectRecord,
+)
 from spinestiff.workbench.marks import XRAY_KEYS
 from spinestiff.workbench.rooms import room_bytes
 
@@ -38,7 +46,14 @@ LEFT_OUT = {
     DRAFT_FILE: "marks that are not complete yet",
 }
 README = "README.txt"
-_PERSONAL = frozenset({"id", "pushes", "torso", "skin_scan", "schema_version"})
+KEPT = {
+    SubjectRecord: frozenset({
+        "age", "sex", "height_cm", "mass_kg", "xray", "trunk", "pelvis", "wall", "priors", "parameters", "population",
+    }),
+    PushRecord: frozenset({"side", "level", "d21_mm", "d31_mm", "forces_n", "roles"}),
+    FurtherViewRecord: frozenset({"kind", "frames", "turned_deg"}),
+}  # fmt: skip
+"""What leaves a house as it is; names of people, pushes and files are new."""
 
 
 class Parcels:
@@ -137,7 +152,7 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
     subject = read_unannotated(folder)
     key, values = random_key(), read_json(folder / SUBJECT_FILE)
     content: dict[str, bytes] = {}
-    images = {image: subject.folder / f"{image}.dcm" for image in ("rest/frontal", "rest/lateral")}
+    images = {image: subject.folder / f"{image}.dcm" for image in REST_IMAGES}
     for image, path in images.items():
         if path.exists():
             content[f"{image}.dcm"] = _freed(path, folder, key, burned_in_ok, image)
@@ -146,14 +161,14 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
     for number, push in enumerate(values["pushes"], 1):
         name = f"push-{number}"
         names[push["id"]] = name
-        new = {**push, "id": name}
-        left_out |= {key for key in ("markers",) if new.pop(key, None) is not None}
+        new = {**_kept(push, PushRecord), "id": name}
+        left_out |= {key for key in ("markers",) if push.get(key) is not None}
         views = []
         for count, view in enumerate(push.get("views", ()), 1):
             files = _copied(folder / view["files"], folder, f"views/{name}-{count}", key, burned_in_ok)
             content |= files[1]
             names[f"{push['id']}/{view['id']}"] = f"view-{count}"
-            views.append({**view, "id": f"view-{count}", "files": files[0]})
+            views.append({**_kept(view, FurtherViewRecord), "id": f"view-{count}", "files": files[0]})
         if views:
             new["views"] = views
         new["frames"], files_ = _copied(folder / push["frames"], folder, f"pushes/{name}", key, burned_in_ok)
@@ -162,10 +177,9 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
     left_out |= {key for key in ("torso", "skin_scan") if values.get(key) is not None}
     if (folder / DRAFT_FILE).exists():
         left_out.add(DRAFT_FILE)
-    kept = {name: value for name, value in values.items() if name not in _PERSONAL and name not in LEFT_OUT}
     # Of its own: visits with one id are taken for visits of one person.
     name = f"subject-{secrets.token_hex(4)}"
-    record = {**kept, "schema_version": values["schema_version"], "id": name, "pushes": pushes}
+    record = {**_kept(values, SubjectRecord), "schema_version": values["schema_version"], "id": name, "pushes": pushes}
     for told in XRAY_KEYS:
         if of_images := (record.get("xray") or {}).get(told):
             record["xray"] = {**record["xray"], told: _renamed(of_images, names)}
@@ -183,6 +197,10 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
     lines += [f"Left out: {LEFT_OUT[one]}." for one in sorted(left_out)]
     content[README] = ("\n".join(lines) + "\n").encode()
     return _zipped(place, sorted(content.items()))
+
+
+def _kept(values: Mapping[str, Any], kind: type[Record]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name in KEPT[kind]}
 
 
 def _copied(path: Path, folder: Path, name: str, key: Key, burned_in_ok: bool) -> tuple[str, dict[str, bytes]]:

@@ -17,6 +17,7 @@ from spinestiff.workbench.bench import Bench
 from spinestiff.workbench.door import access_of, check_host
 from spinestiff.workbench.intake_routes import add_intake
 from spinestiff.workbench.job_routes import add_jobs
+from spinestiff.workbench.page_words import page_words
 from spinestiff.workbench.result_routes import add_results
 from spinestiff.workbench.subject_routes import add_subjects
 
@@ -29,7 +30,7 @@ PAGE = {
 
 def application(bench: Bench) -> FastAPI:
     """The page and its data, still unguarded: what ``serve`` puts behind ``Guard``."""
-    app = bare_application()
+    app = bare_application(page_words)
     for path in PAGE:
         app.add_api_route(path, _page(path), methods=["GET"])
 

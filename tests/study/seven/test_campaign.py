@@ -141,6 +141,7 @@ if __name__ == "__main__":
         latest = time.monotonic() + 60
         while not all((tmp_path / one.name).exists() for one in FIRST[:2]) and time.monotonic() < latest:
             time.sleep(0.05)
+        assert all((tmp_path / one.name).exists() for one in FIRST[:2])
         parent.send_signal(number)
         parent.communicate(timeout=120)
     finally:

@@ -119,7 +119,7 @@ def put_beside(log: ForceLog, files: Sequence[Path], name: str, offset_s: float 
     if not np.isfinite(times).all():
         raise SubjectError(
             f"{push_named(name)}: its radiographs tell no times of their frames (FrameTime, AcquisitionTime, "
-            "ContentTime), so a force log can't be put beside them; write the forces into --pushes"
+            "ContentTime), so a force log can't be put beside them; give the forces by hand"
         )
     if (np.diff(times) <= 0.0).any():
         raise SubjectError(
