@@ -168,8 +168,8 @@ def test_refits_are_an_input_of_the_report_while_they_are_of_this_estimate(subje
 
 def test_a_step_is_told_when_all_of_it_is_to_be_made_anew(subject):
     asked = []
-    step = Step(lambda visit, say: asked.append(visit.settings.redo), (), (), (), lambda visit: ())
-    visit, known = open_visit(subject), {"new": step, "view": ALL_STEPS["view"]}
+    step = Step(lambda visit, say: asked.append(visit.settings.redo), (), (), (), ())
+    visit, known = open_visit(subject), {"new": step}
     for force in (False, True, False):
         run_steps(visit, ("new",), force=force, known=known)
     assert asked == [False, True]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,9 +20,9 @@ from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import check_writable, file_digest
 from spinestiff.observer import Observer, heard
 from spinestiff.study import steps as step_functions
-from spinestiff.study.starting_torso import outputs_of_shape
+from spinestiff.study.starting_torso import SCAN_PICTURE, left_of_shape
 from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE, RESPONSE_FILE
-from spinestiff.study.visit import Visit
+from spinestiff.study.visit import START, Visit
 from spinestiff.subject.program import program, program_of_numbers
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.subject.run_record import (
@@ -61,7 +61,8 @@ class Step:
     run : does it.
     parts : of ``subject.json`` and ``annotation.json`` (``subject.run_record.PARTS``).
     images : of "rest" and "push", whose radiographs it reads.
-    results : of earlier steps, by file name. outputs : file names.
+    results : of earlier steps, by file name. makes : names of the files that it may write.
+    leaves : those of them that it does not write for this visit. brings : a step that it does on its way.
     also : steps whose outputs it shows if they are up to date, and does without otherwise.
     settings : what of the visit's settings it follows.
     tells : it makes pages or pictures, too, so that it is redone when what they are made by changed.
@@ -71,10 +72,17 @@ class Step:
     parts: tuple[str, ...]
     images: tuple[str, ...]
     results: tuple[str, ...]
-    outputs: Callable[[Visit], tuple[str, ...]]
+    makes: tuple[str, ...]
+    leaves: Callable[[Visit], Collection[str]] = lambda visit: ()
     settings: Callable[[Visit], dict[str, Any]] = lambda visit: {}
+    brings: str | None = None
     also: tuple[str, ...] = ()
     tells: bool = False
+
+    def outputs(self, visit: Visit) -> list[str]:
+        """Names of the files that it writes for this visit."""
+        left = self.leaves(visit)
+        return [name for name in self.makes if name not in left]
 
     def record(self, visit: Visit) -> StepRecord:
         """How it would come about now. Raises SubjectError if an input can't be read."""
@@ -106,15 +114,13 @@ def _mesh(visit: Visit) -> dict[str, Any]:
 
 
 ALL_STEPS: Mapping[str, Step] = {
-    "track": Step(
-        step_functions.track_step, (XRAY, FRAMES, PUSH_MARKS), ("push",), (), lambda visit: ("tracked.json",)
-    ),
+    "track": Step(step_functions.track_step, (XRAY, FRAMES, PUSH_MARKS), ("push",), (), ("tracked.json",)),
     "frames": Step(
         step_functions.frames_step,
         (XRAY, PUSHES, ROLES, PUSH_MARKS),
         ("push",),
         ("tracked.json",),
-        lambda visit: ("frames.json", "frames.png"),
+        ("frames.json", "frames.png"),
         tells=True,
     ),
     "response": Step(
@@ -122,14 +128,15 @@ ALL_STEPS: Mapping[str, Step] = {
         (XRAY, FORCES, SUPPORTS, REST_MARKS),
         ("rest",),
         ("tracked.json",),
-        lambda visit: ("response.json", RESPONSE_FILE),
+        ("response.json", RESPONSE_FILE),
     ),
     "personalise": Step(
         step_functions.personalise_step,
         (XRAY, BODY, REST_MARKS),
         ("rest",),
         (),
-        outputs_of_shape,
+        (*SHAPE, SCAN_PICTURE, START),
+        left_of_shape,
         _mesh,
     ),
     "estimate": Step(
@@ -137,12 +144,8 @@ ALL_STEPS: Mapping[str, Step] = {
         (PUSHES, ROLES, BODY, SUPPORTS),
         ("rest", "push"),
         ("tracked.json", *SHAPE),
-        lambda visit: (
-            "estimate.json",
-            ESTIMATE_FILE,
-            "training.npz",
-            *(("posterior.csv",) if visit.settings.method == "weighed" else ()),
-        ),
+        ("estimate.json", ESTIMATE_FILE, "training.npz", "posterior.csv"),
+        lambda visit: () if visit.settings.method == "weighed" else ("posterior.csv",),
         lambda visit: {
             "method": visit.settings.method,
             "orientation": visit.settings.orientation,
@@ -155,16 +158,16 @@ ALL_STEPS: Mapping[str, Step] = {
         (PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json"),
-        lambda visit: ("parameters.json",),
-        _mesh,
+        ("parameters.json",),
+        settings=_mesh,
     ),
     "sensitivity": Step(
         step_functions.sensitivity_step,
         (PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json"),
-        lambda visit: ("sensitivity.json", "sensitivity.png"),
-        _mesh,
+        ("sensitivity.json", "sensitivity.png"),
+        settings=_mesh,
         tells=True,
     ),
     "assess": Step(
@@ -172,12 +175,8 @@ ALL_STEPS: Mapping[str, Step] = {
         (PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json", "training.npz"),
-        lambda visit: (
-            "assessment.json",
-            ASSESSMENT_FILE,
-            "predictions.npz",
-            *(("comparison.json",) if visit.truth else ()),
-        ),
+        ("assessment.json", ASSESSMENT_FILE, "predictions.npz", "comparison.json"),
+        lambda visit: () if visit.truth else ("comparison.json",),
         _truth,
     ),
     "report": Step(
@@ -185,8 +184,9 @@ ALL_STEPS: Mapping[str, Step] = {
         (ID, PUSHES, ROLES, BODY, PERSON, SUPPORTS, XRAY, REST_MARKS, PUSH_MARKS),
         ("rest", "push"),
         ("tracked.json", "response.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
-        lambda visit: ("report.html", "view.html"),
-        _truth,
+        ("report.html", "view.html"),
+        settings=_truth,
+        brings="view",
         also=("sensitivity", "plan"),
         tells=True,
     ),
@@ -195,7 +195,7 @@ ALL_STEPS: Mapping[str, Step] = {
         (ID, PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json", "predictions.npz"),
-        lambda visit: ("view.html",),
+        ("view.html",),
         tells=True,
     ),
 }
@@ -256,15 +256,13 @@ def run_steps(
             say(f"{name}: was made by spinestiff {before}, this is {record.program}; made again")
         for changed in changed_outputs(visit.subject, name):
             say(f"{name}: {changed} is not as it was written; made again")
-        # The report writes the view on its way.
-        view = known["view"]
-        along = view.record(visit) if name == "report" else None
+        along = None if step.brings is None else known[step.brings].record(visit)
         with logged_step(name):
             began, worked = time.perf_counter(), time.process_time()
             step.run(visit, lambda line, name=name: say(f"{name}: {line}"))  # type: ignore[misc]
             _record(visit, step, name, record, time.perf_counter() - began, time.process_time() - worked)
-        if along is not None:
-            _record(visit, view, "view", along)
+        if step.brings is not None and along is not None:
+            _record(visit, known[step.brings], step.brings, along)
         ran.append(name)
     return ran
 
@@ -299,7 +297,7 @@ def _as_compared(visit: Visit, name: str, record: StepRecord) -> StepRecord:
 
 def _refuse_stale(visit: Visit, result: str, known: Mapping[str, Step]) -> None:
     """Raise SubjectError unless a result of an earlier step is there, as written, and made from what is there now."""
-    step = next(name for name, step in known.items() if result in step.outputs(visit))
+    step = next(name for name, step in known.items() if result in step.makes)
     path = result_path(visit.subject, result, step)
     if why := why_stale(visit.subject, step):
         raise SubjectError(f"{path}: was {why}; run spinestiff {step} again, or spinestiff run")

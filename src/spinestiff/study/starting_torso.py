@@ -10,19 +10,15 @@ from spinestiff.errors import SubjectError
 from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.study.subject_body import subject_template
 from spinestiff.study.visit import START, Visit
-from spinestiff.subject.geometry_outcome import GeometryRecord
 
 OWN_HEIGHT = 0.1  # share by which an own torso's height may differ from the subject's
+SCAN_PICTURE = "skin_scan.png"
 
 
-def outputs_of_shape(visit: Visit) -> tuple[str, ...]:
-    """The files that ``personalise_step`` writes for this visit."""
-    found = ["torso.npz", GeometryRecord.FILE]
-    if visit.subject.scan_path:
-        found.append("skin_scan.png")
-    if visit.subject.torso_path is None and visit.settings.mesh == "fine":
-        found.append(START)
-    return tuple(found)
+def left_of_shape(visit: Visit) -> set[str]:
+    """The files of ``personalise_step`` that this visit has none of: no scan, or no coarse torso to start from."""
+    left = set() if visit.subject.scan_path else {SCAN_PICTURE}
+    return left if visit.subject.torso_path is None and visit.settings.mesh == "fine" else {*left, START}
 
 
 def skin_scan(visit: Visit) -> SkinScan | None:

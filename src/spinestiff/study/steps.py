@@ -44,7 +44,7 @@ from spinestiff.study.predictions import (
 )
 from spinestiff.study.sensitivity import sensitivity_study
 from spinestiff.study.side_views import marked_pedicles, side_views
-from spinestiff.study.starting_torso import outputs_of_shape, skin_scan, starting_torso
+from spinestiff.study.starting_torso import SCAN_PICTURE, left_of_shape, skin_scan, starting_torso
 from spinestiff.study.subject_body import body_notes, subject_template
 from spinestiff.study.summary import (
     ASSESSMENT_FILE,
@@ -167,7 +167,7 @@ def personalise_step(visit: Visit, say: Observer) -> None:
     }
     shape = partial(personalise, pictures=pictures, pedicles=pedicles, trunk=trunk, scan=scan)
     bodies = [partial(shape, template, observer=say, finer=finer)]
-    if START in outputs_of_shape(visit):
+    if START not in left_of_shape(visit):
         say("shaping a coarse torso, too, which the estimate starts on")
         bodies.append(partial(shape, subject_template(subject.record, "coarse"), finer=fine))
     shaped, *coarse = in_parallel(lambda body: body(), bodies)
@@ -182,7 +182,7 @@ def personalise_step(visit: Visit, say: Observer) -> None:
     if shaped.scan is not None:
         from spinestiff.anatomy.picture import draw_scan
 
-        draw_scan(shaped.torso, shaped.scan.points, visit.file("skin_scan.png"))
+        draw_scan(shaped.torso, shaped.scan.points, visit.file(SCAN_PICTURE))
     write_outcome(subject, geometry_record(shaped, provenance))
 
 

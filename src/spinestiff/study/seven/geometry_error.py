@@ -28,7 +28,7 @@ from spinestiff.observer import Observer
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.pose import align_view
 from spinestiff.study.runner import ALL_STEPS, Step
-from spinestiff.study.starting_torso import outputs_of_shape
+from spinestiff.study.starting_torso import left_of_shape
 from spinestiff.study.steps import personalise_step
 from spinestiff.study.visit import START, Visit
 from spinestiff.subject.folder import image_corners, read_rest
@@ -128,10 +128,9 @@ def off_step(error: GeometryError, visit: Visit, say: Observer) -> None:
     size = size_of_error(lambda found: rest_rmse(torso, *pictures["frontal"], found * unit), error.rmse_mm)
     views = {name: rest_rmse(torso, *picture, size * unit) for name, picture in pictures.items()}
     say(f"geometry error of {size:.2f} mm: RMSE {views['frontal']:.2f} mm in the frontal radiograph")
-    for name in outputs_of_shape(visit):
-        if name in ("torso.npz", START):
-            shaped = read_torso(visit.file(name))
-            write_torso(visit.file(name), place_vertebrae(shaped, *moved_spine(shaped, size * unit), observer=say))
+    for name in [one for one in ("torso.npz", START) if one not in left_of_shape(visit)]:
+        shaped = read_torso(visit.file(name))
+        write_torso(visit.file(name), place_vertebrae(shaped, *moved_spine(shaped, size * unit), observer=say))
     count = len(spine)
     told = record.matrix
     rows = size * basis.reshape(6 * count, -1)
