@@ -27,7 +27,7 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.corner_files import ImageCorners
 from spinestiff.estimation import discrepancy
 from spinestiff.imaging.features import silhouette_shares, state_features
-from spinestiff.study.phantom import Comparison, analyse, build_phantom, push_on
+from spinestiff.study.phantom import BenchComparison, analyse, build_phantom, push_on
 from spinestiff.subject.phantom_record import PhantomRecord
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -52,12 +52,12 @@ def bench_values(record: PhantomRecord) -> Floats:
     return np.array([joint.stiffness for joint in build_phantom(record).joints])
 
 
-def half_width(one: Comparison) -> float:
+def half_width(one: BenchComparison) -> float:
     """Half the width of the estimate's 95 % interval, of the log."""
     return float(0.5 * np.log(one.fit_high / one.fit_low))
 
 
-def told(one: Comparison) -> dict[str, Any]:
+def told(one: BenchComparison) -> dict[str, Any]:
     """An estimate over the bench value."""
     return {"ratio": one.ratio, "fit_95": [one.fit_low, one.fit_high], "half_width": half_width(one)}
 

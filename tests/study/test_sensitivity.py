@@ -10,6 +10,7 @@ import pytest
 
 from results import altered
 from spinestiff.anatomy.regions import torso_ratios
+from spinestiff.anatomy.stiffness import INTERVERTEBRAL_BENDING as BENDING
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.files import read_json
@@ -17,7 +18,6 @@ from spinestiff.study import sensitivity
 from spinestiff.study.paper import TABLE_7
 from spinestiff.study.refits import basis_of
 from spinestiff.study.sensitivity import (
-    BENDING,
     LEVER_MM,
     Case,
     force_percent,

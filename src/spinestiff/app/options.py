@@ -201,9 +201,9 @@ def cobb_limits() -> tuple[float, float]:
 
 def force_limits() -> tuple[float, float]:
     """N, of a synthetic push."""
-    from spinestiff.study.synthetic.recipe import LARGEST_FORCE_N
+    from spinestiff.subject.records import GAUGE_LIMIT_N
 
-    return 0.0, LARGEST_FORCE_N
+    return 0.0, GAUGE_LIMIT_N
 
 
 def noise_limits() -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import asdict
-from typing import Any
+from typing import Any, get_args
 
 from spinestiff.app import tables
 from spinestiff.errors import OptionError, SpinestiffError
@@ -13,7 +13,7 @@ from spinestiff.formats import plain_number
 from spinestiff.observer import Observer, heard
 from spinestiff.study.planning.proposal import make_plan
 from spinestiff.study.planning.scene import scene_of
-from spinestiff.study.planning.wish import RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish
+from spinestiff.study.planning.wish import EXPOSURES, RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish
 from spinestiff.study.runner import ALL_STEPS, PUSHES, logged_step, run_steps
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording.plan import (
@@ -26,11 +26,12 @@ from spinestiff.study.wording.plan import (
     size_of,
     width,
 )
-from spinestiff.subject.plan_outcome import Plan, PlannedPush
+from spinestiff.subject.plan_outcome import Plan, PlannedPush, Target
+from spinestiff.subject.records import LEVELS
 from spinestiff.subject.run_record import record_step, recorded_steps, step_record, write_outcome
 
-TARGETS = ("bending", "tissue", "rotation", "cobb")
-MOST_EXPOSURES, USUAL_EXPOSURES = 40, 8
+TARGETS = get_args(Target)
+MOST_EXPOSURES = 40
 SHOWN = 6  # single pushes in the table
 _log = logging.getLogger(__name__)
 
@@ -86,7 +87,7 @@ def exposures_of(
         radiographs.
     """
     if dose is None and frame_dose is None and lateral_dose is None:
-        return float(USUAL_EXPOSURES if exposures is None else exposures), 1.0
+        return float(EXPOSURES if exposures is None else exposures), 1.0
     if exposures is not None:
         raise OptionError(f"--exposures {exposures}: --dose stands in its place; give one of the two")
     if dose is None or frame_dose is None:
@@ -99,7 +100,7 @@ def exposures_of(
 
 def _ribs(text: str) -> tuple[float, ...]:
     found = tuple(dict.fromkeys(plain_number(part) for part in text.split(",")))
-    if not all(1.0 <= rib <= 12.0 for rib in found):
+    if not all(LEVELS[0] <= rib <= LEVELS[1] for rib in found):
         raise OptionError(f"--ribs {text}: wanted ribs from 1 to 12 separated by commas, e.g. 5,7,9")
     return found
 
@@ -110,7 +111,7 @@ def _frame(text: str, largest: float) -> Frame:
         side, rib, force = parts[0], plain_number(parts[1]), plain_number(parts[2])
     except IndexError:
         side, rib, force = "", 0.0, 0.0
-    if len(parts) != 3 or side not in SIDES or not 1.0 <= rib <= 12.0 or not 0.0 < force <= largest:
+    if len(parts) != 3 or side not in SIDES or not LEVELS[0] <= rib <= LEVELS[1] or not 0.0 < force <= largest:
         raise OptionError(f"--under {text}: wanted SIDE,RIB,FORCE, e.g. right,8,60, up to {largest:g} N")
     return Frame(side, rib, force)  # type: ignore[arg-type]
 

@@ -88,7 +88,7 @@ class BenchJoint:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class BenchComparison:
     """An estimate over the bench value, for ``part`` (the joints' mean, or rubber).
 
     Attributes
@@ -139,7 +139,7 @@ class PhantomResult(ShortRepr):
 
     name: str
     joints: tuple[BenchJoint, ...]
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[BenchComparison, ...]
     predicted: tuple[PredictedFrame, ...]
     noise_mm: float
     p_value: float
@@ -352,7 +352,7 @@ def _trial(phantom: Phantom, frame: FrameRecord, image: ImageCorners) -> Trial:
     return Trial(push_on(phantom.torso, frame), corners, phantom.view, image.image, push="bench")
 
 
-def _comparison(name: str, fit: StiffnessFit, bench: float, bench_sd: float) -> Comparison:
+def _comparison(name: str, fit: StiffnessFit, bench: float, bench_sd: float) -> BenchComparison:
     ratio = fit.ratios.as_dict()[name]
     fit_low, fit_high = fit.intervals95[name]
     down, up = (float(np.hypot(np.log(end / ratio), HALF_WIDTH_95 * bench_sd)) for end in (fit_low, fit_high))
@@ -362,7 +362,7 @@ def _comparison(name: str, fit: StiffnessFit, bench: float, bench_sd: float) -> 
     if any(opens) or fit.status is not FitStatus.CONVERGED:
         verdict = "can't be told"
     part, unit = NAMES[name]
-    return Comparison(
+    return BenchComparison(
         part=part,
         bench=bench,
         unit=unit,

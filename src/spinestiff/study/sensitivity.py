@@ -15,6 +15,7 @@ import numpy as np
 
 from spinestiff.anatomy.regions import AT, is_beside_whole
 from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.stiffness import INTERVERTEBRAL_BENDING as BENDING
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, TISSUE_PARAMETERS
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
@@ -30,20 +31,18 @@ from spinestiff.study.refits import Basis, basis_of, converged
 from spinestiff.study.visit import Visit, has_start, pushes_on, torso_on
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.program import program_of_numbers
-from spinestiff.subject.records import PushRecord
+from spinestiff.subject.records import LEVELS, PushRecord
 from spinestiff.subject.run_record import read_outcome, recorded_steps, write_outcome
 from spinestiff.subject.sensitivity_outcome import Change, Refit, Sensitivity, Series
 
 FORCE, MODULUS = 0.1, 0.2
 """Relative changes of force and of the default modulus."""
-LEVELS = (1.0, 12.0)
 SIGNS = (-1, 1)
 Ratios = Mapping[str, float]
 LEVER_MM = 20.0
 """Half a vertebra: by how much a turn counts beside a shift where the leading mode of a geometry is looked for."""
 ELSEWHERE = (1.2, 0.7)
 """Of bending and tissue, over where they are: along the valley in which they trade against each other."""
-BENDING = "intervertebral_bending"
 PAPER_SERIES: Mapping[Series, tuple[str, ...]] = {
     "tied": (BENDING, "tissue"),
     "kept": (BENDING, "tissue_mu"),

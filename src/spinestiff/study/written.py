@@ -43,7 +43,7 @@ from spinestiff.subject.estimate_outcome import (
     TrainingError,
 )
 from spinestiff.subject.folder import read_identities
-from spinestiff.subject.geometry_outcome import GeometryRecord, MeshRecord, ScanRecord, VertebraFitRecord
+from spinestiff.subject.geometry_outcome import GeometryRecord, MeshRecord, ScanFitRecord, VertebraFitRecord
 from spinestiff.subject.outcome_parts import LEAST_FIRST, PoseRecord, ViewRecord, finite, nested
 from spinestiff.subject.outcomes import FrameProposal
 from spinestiff.subject.records import PushRecord
@@ -322,8 +322,8 @@ def geometry_record(shaped: Personalised, provenance: Mapping[str, Mapping[str, 
     )
 
 
-def _scan_record(scan: ScanFit) -> ScanRecord:
-    return ScanRecord(
+def _scan_record(scan: ScanFit) -> ScanFitRecord:
+    return ScanFitRecord(
         covered=scan.covered,
         used=scan.used,
         before_mm=scan.before_mm,

@@ -29,7 +29,7 @@ class MeshRecord(Outcome):
     smallest_dihedral_deg: float
 
 
-class ScanRecord(Outcome):
+class ScanFitRecord(Outcome):
     """How the skin fits its scan (``personalise.scanned_skin.ScanFit``); distances as median and 95th percentile."""
 
     covered: float
@@ -70,7 +70,7 @@ class GeometryRecord(OutcomeFile):
     corner_sd_mm: float
     covariance: tuple[tuple[tuple[float, ...], ...], ...]
     mesh: MeshRecord
-    skin_scan: ScanRecord | None
+    skin_scan: ScanFitRecord | None
     warnings: tuple[str, ...]
 
     @property

@@ -28,7 +28,6 @@ from spinestiff.mechanics.loads import PUSH_DIRECTION, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.observer import Observer
 from spinestiff.personalise.placing import place_vertebrae
-from spinestiff.study.assessment import extrapolated
 from spinestiff.study.parameters import default_gradients
 from spinestiff.study.predictions import REST, Prediction, Predictions
 from spinestiff.study.refits import basis_of
@@ -315,8 +314,9 @@ def _frame(predictions: Predictions, held_out: HeldOutFrame, recipe: Recipe) -> 
     motions = {
         name: motion_rmse(predictions, found, name) for name in found.solved if name not in (REST, "fitted_supports")
     }
-    if extrapolated(predictions.pushes, found.item) is not None:
-        motions["extrapolation"] = float(held_out.rmse_mm["extrapolation"] or 0.0)
+    extrapolation = held_out.rmse_mm["extrapolation"]
+    if extrapolation is not None:
+        motions["extrapolation"] = extrapolation
     return FrameOutcome(
         push=held_out.push,
         told_n=held_out.force_n,

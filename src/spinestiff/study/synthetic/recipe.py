@@ -18,9 +18,7 @@ from spinestiff.personalise.rebuild import NODES
 from spinestiff.study.synthetic.elastic_supports import SyntheticSupports
 from spinestiff.study.synthetic.stiffening import Stiffening
 from spinestiff.subject.marker_table import FEWEST, MOST
-from spinestiff.subject.records import Role
-
-LARGEST_FORCE_N = 500.0  # that the gauge shows
+from spinestiff.subject.records import GAUGE_LIMIT_N, Role
 
 
 @dataclass(frozen=True)
@@ -133,8 +131,8 @@ class Recipe:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise SubjectError(f"seed {self.seed}; wanted 0 or more")
-        if not 0.0 < self.force_n <= LARGEST_FORCE_N:
-            raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most {LARGEST_FORCE_N:g}")
+        if not 0.0 < self.force_n <= GAUGE_LIMIT_N:
+            raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most {GAUGE_LIMIT_N:g}")
         if self.nodes is not None and not NODES[0] <= self.nodes <= NODES[1]:
             raise SubjectError(f"{self.nodes} nodes; wanted {NODES[0]} to {NODES[1]}")
         if self.nodes is not None and self.mesh != OWN_MESH:

@@ -63,7 +63,7 @@ from spinestiff.subject.annotation_record import FEWEST_OF_VIEW, FEWEST_VERTEBRA
 from spinestiff.subject.folder import write_annotation, write_subject
 from spinestiff.subject.marker_table import write_markers
 from spinestiff.subject.record_reading import parse_record
-from spinestiff.subject.records import PushRecord, SubjectRecord
+from spinestiff.subject.records import LEVELS, PushRecord, SubjectRecord
 from spinestiff.words import counted
 
 # Table 4's range of estimated ratios, where a subject's own are drawn from.
@@ -120,7 +120,7 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
         float(np.exp(random.uniform(*np.log(limits)))) for limits in (BENDING_RANGE, TISSUE_RANGE)
     )
     ratios = stiffness_ratios({"lateral_bending": bending, "tissue": tissue})
-    maker = _Acquisition(folder, torso, recipe, random)
+    maker = _VisitInMaking(folder, torso, recipe, random)
     for mesh in MESHES:
         # What estimates shape by the subject's radiographs.
         template_body(recipe.age, recipe.sex, recipe.height_cm, mesh)
@@ -214,7 +214,7 @@ def subject_torso(recipe: Recipe, observer: Observer | None = None) -> TorsoMode
     return place_vertebrae(template, *poses, nodes=recipe.nodes, seed=recipe.seed, observer=observer)
 
 
-class _Acquisition:
+class _VisitInMaking:
     """One synthetic visit: images, annotation and truth collect here while they are made."""
 
     def __init__(self, folder: Path, torso: TorsoModel, recipe: Recipe, random: np.random.Generator) -> None:
@@ -479,7 +479,7 @@ def misread(forces: Sequence[float], level: float, random: np.random.Generator) 
     scale, offset = p.force_scale * random.normal(), p.force_offset_n * random.normal()
     felt = level + p.push_height_mm / LEVEL_MM * random.normal()
     told = [max(round((force - offset) * float(np.exp(-scale)), 1), 0.1) if force > 0.0 else 0.0 for force in forces]
-    return told, round(float(np.clip(felt, 1.0, 12.0)), 1)
+    return told, round(float(np.clip(felt, *LEVELS)), 1)
 
 
 def _as_dict(change) -> dict[str, float]:  # type: ignore[no-untyped-def]

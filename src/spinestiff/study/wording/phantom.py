@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from spinestiff.study.phantom import Comparison, PhantomResult
+from spinestiff.study.phantom import BenchComparison, PhantomResult
 from spinestiff.study.wording.numbers import fixed, number
 
 
@@ -47,7 +47,7 @@ def phantom_lines(found: PhantomResult) -> list[str]:
     return lines
 
 
-def _span(found: Comparison, low: float, high: float) -> str:
+def _span(found: BenchComparison, low: float, high: float) -> str:
     """An interval; an end at the fit's bound is open, "≤ 0.0025 to 1.2"."""
     return f"{'≤ ' * found.open_low}{number(low)} to {'≥ ' * found.open_high}{number(high)}"
 
@@ -56,7 +56,7 @@ def _percent(ratio: float) -> str:
     return f"{fixed(100 * abs(ratio - 1.0), 0)} % {'stiffer' if ratio > 1.0 else 'softer'}"
 
 
-def _advice(comparisons: Sequence[Comparison]) -> str:
+def _advice(comparisons: Sequence[BenchComparison]) -> str:
     ratios = [one.ratio for one in comparisons]
     alike = max(ratios) / min(ratios) < 1.0 + 2.0 * max(one.high / one.ratio - 1.0 for one in comparisons)
     if alike:

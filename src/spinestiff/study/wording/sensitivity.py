@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from spinestiff.anatomy.regions import AT
+from spinestiff.anatomy.stiffness import INTERVERTEBRAL_BENDING as BENDING
 from spinestiff.study.paper import TABLE_7
-from spinestiff.study.sensitivity import BENDING, PAPER_SERIES
+from spinestiff.study.sensitivity import PAPER_SERIES
 from spinestiff.study.wording.numbers import fixed, listed, number
 from spinestiff.subject.sensitivity_outcome import Change, Refit, Sensitivity, Series
 
