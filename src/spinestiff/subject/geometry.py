@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.dicom.millimetres import Geometry, Scale
 from spinestiff.subject.annotation_record import Annotation
-from spinestiff.subject.records import ScaleRecord, SubjectRecord
+from spinestiff.subject.records import ScaleRecord, SubjectRecord, XRayRecord
 
 AGREEMENT_OF_VERTEBRA = 0.1
 """Relative difference up to which a file's spacing agrees with a vertebra's known size; edges are seen no better."""
@@ -29,16 +30,20 @@ def image_geometry(
     ------
     SubjectError : a scale by a vertebra that is not annotated in this image.
     """
-    own = record.xray.of(image)
     scale = (record.xray.scale or {}).get(image)
-    usual = record.xray.orientation == "standard"
+    found = geometry_without_scale(record.xray, image, kind)
+    return found if scale is None else replace(found, scale=_scale(scale, annotation, image))
+
+
+def geometry_without_scale(xray: XRayRecord, image: str, kind: Literal["frontal", "lateral"]) -> Geometry:
+    """The same without a length that is marked in the image."""
+    own = xray.of(image)
     return Geometry(
-        own.source_detector_mm,
-        own.source_patient_mm,
-        own.imager_pixel_mm,
-        kind if usual else None,
-        None if scale is None else _scale(scale, annotation, image),
-        own.beam if kind == "frontal" else None,
+        source_detector_mm=own.source_detector_mm,
+        source_patient_mm=own.source_patient_mm,
+        imager_pixel_mm=own.imager_pixel_mm,
+        view=kind if xray.orientation == "standard" else None,
+        beam=own.beam if kind == "frontal" else None,
     )
 
 

@@ -18,6 +18,7 @@ from spinestiff.imaging.dicom.export import Exported
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.reading import check_given
 from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
+from spinestiff.subject.geometry import geometry_without_scale
 from spinestiff.subject.intake.sorting import PushFiles, Sorting
 from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID, parse_record
 from spinestiff.subject.records import LATERAL, REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, SubjectRecord, XRayRecord
@@ -202,12 +203,7 @@ def check_geometry(before: Mapping[str, Any], data: Mapping[str, Any], files: Ma
 
 def _geometry(data: Mapping[str, Any], image: str) -> Geometry:
     xray = XRayRecord.model_validate(data.get("xray") or {})
-    own, usual = xray.of(image), "lateral" if image == LATERAL else "frontal"
-    return Geometry(
-        own.source_detector_mm, own.source_patient_mm, own.imager_pixel_mm,
-        usual if xray.orientation == "standard" else None,  # type: ignore[arg-type]
-        None, own.beam if usual == "frontal" else None,
-    )  # fmt: skip
+    return geometry_without_scale(xray, image, "lateral" if image == LATERAL else "frontal")
 
 
 def _sizes(trunk: Mapping[str, Any]) -> str:
