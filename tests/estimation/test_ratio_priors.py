@@ -80,7 +80,8 @@ def test_a_population_is_of_the_mean_level(column):
     """Table 4's geometric mean of 0.069 and log sd of 1.38, with the mean's own error."""
     people = POPULATIONS["koutras2025"]
     assert np.exp(people.mean) == pytest.approx(0.0686, abs=1e-4)
-    assert people.sd == pytest.approx(1.3810 * np.sqrt(8.0 / 7.0), abs=1e-3)
+    # 2.4469 is Student's t of six degrees of freedom at 95 %, by a table.
+    assert people.sd == pytest.approx(1.3810 * np.sqrt(8.0 / 7.0) * 2.4469 / 1.95996, abs=1e-3)
     names = ("lateral_bending", "tissue")
     prior = held(column, names, population="koutras2025")
     assert list(prior.texts) == ["population koutras2025"]

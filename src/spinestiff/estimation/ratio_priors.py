@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from spinestiff.anatomy.regions import AT, levels_of
 from spinestiff.anatomy.stiffness import INTERVERTEBRAL_BENDING, ParameterGroup, parameter_group
@@ -18,6 +19,7 @@ from spinestiff.errors import FitError
 from spinestiff.normal import HALF_WIDTH_95
 
 SMOOTHNESS = "level smoothness"
+UPPER = 0.975  # of the ends of a 95 % interval
 
 
 @dataclass(frozen=True, repr=False)
@@ -59,8 +61,11 @@ class Population:
 
     @property
     def sd(self) -> float:
-        """Of the next subject's log about the mean of these, whose own error is part of it."""
-        return float(np.std(np.log(self.bending), ddof=1) * np.sqrt(1.0 + 1.0 / len(self.bending)))
+        """Of a normal distribution with the 95 % limits of the next subject's log, which is distributed as Student's t:
+        mean and scatter of these few have errors of their own."""
+        count = len(self.bending)
+        scatter = float(np.std(np.log(self.bending), ddof=1) * np.sqrt(1.0 + 1.0 / count))
+        return scatter * float(stdtrit(count - 1, UPPER) / ndtri(UPPER))
 
 
 # Koutras et al. 2025, Table 4. Its tissue ratios are no prior: they are over a default modulus that is not published.
