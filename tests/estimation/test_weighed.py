@@ -332,6 +332,26 @@ def test_p_value_is_uniform_for_errors_as_expected(asked, found) -> None:
     assert kstest(values, "uniform").pvalue > 0.01
 
 
+def test_p_value_does_not_count_what_a_sequence_was_placed_by(asked, found) -> None:
+    """Shift and turn of a sequence are fitted before the estimate: their wide prior makes no residual likely."""
+    random = np.random.default_rng(6)
+    placed = np.zeros((asked.size, asked.noise.placed.shape[1]))
+    placed[: asked.noise.size] = asked.noise.placed
+    assert placed.shape[1] == 3
+    nothing = np.zeros(len(asked.unknowns))
+    root = np.linalg.cholesky(asked.covariance(found.point))
+    seen = [root @ random.normal(size=asked.size) for _ in range(3)]
+    first, *moved = (
+        [asked.p_value(WeighedPoint(nothing, found.point.evaluation, one + placed @ size), found.slope) for one in seen]
+        for size in (np.zeros(3), np.array([30.0, -20.0, 0.05]), np.array([0.0, 0.0, 0.2]))
+    )
+    for again in moved:
+        np.testing.assert_allclose(again, first, rtol=1e-6)
+    still = [one - placed @ np.linalg.lstsq(placed, one, rcond=None)[0] for one in seen]
+    without = [asked.p_value(WeighedPoint(nothing, found.point.evaluation, one), found.slope) for one in still]
+    np.testing.assert_allclose(without, first, rtol=1e-6)
+
+
 def test_p_value_is_tiny_where_forces_are_swapped(column, noisy, asked, found) -> None:
     assert asked.p_value(found.point, found.slope) > 0.05
     rest, weak, strong = noisy

@@ -93,6 +93,7 @@ class Noise:
     ----------
     turns : (n, k) columns of the part "turn of the patient", which counts where more is seen than corners of frontal
         radiographs; k = 0 where there is no more.
+    placed : (n, k) columns of what a sequence was placed by before any fit, shifts of 1 mm and turns of 1 rad.
     """
 
     def __init__(
@@ -127,6 +128,7 @@ class Noise:
         roll = float(np.deg2rad(priors.place_deg))
         self.parts["place in the picture"] = _outer(self._places(self._trial, priors.place_mm, roll, 0.0))
         self.parts["posture"] = _outer(self._waves(sequence, float(np.deg2rad(priors.posture_deg)), still))
+        self.placed = self._places(sequence, 1.0, 1.0, 0.0)
         self.parts["stance"] = _outer(self._places(sequence, priors.stance_mm, stance_roll, priors.stance_scale))
         if geometry is not None:
             jacobian = self.pose_jacobian(still, len(geometry) // 6).reshape(self.size, -1)

@@ -27,7 +27,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import cho_solve, orth, solve_triangular
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats, Ints, ShortRepr
@@ -54,6 +54,7 @@ from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
 AT_LIMIT = 1e-6  # of a log ratio
+TINY = np.finfo(np.float64).tiny
 _MOTION = ACTS.index("motion")
 
 
@@ -303,22 +304,24 @@ class WeighedProblem:
     def p_value(self, point: WeighedPoint, slope: WeighedSlope) -> float:
         """Of residuals as large, with the covariance before any scale or weight is fitted.
 
-        Of what no change of the ratios within their limits takes away of the data's; what is held of them is no data.
-        NaN where that is nothing, of as many ratios as data or more.
+        Of what neither a change of the ratios within their limits takes away of the data's nor another place of a
+        sequence in the picture, since that was fitted beforehand; what is held of ratios is no data. NaN where nothing
+        is left.
         """
         from scipy.stats import chi2
 
         low, high = point.log_ratios - self.limits[0], self.limits[1] - point.log_ratios
         ratios = slope.ratios[:, np.minimum(low, high) > AT_LIMIT]
-        if self.data <= ratios.shape[1]:
-            return float("nan")
-
         data = slice(0, self.data)
+        placed = np.zeros((self.data, self.noise.placed.shape[1]))
+        placed[: self.noise.size] = self.noise.placed
         expected = self.as_expected(point).root[data, data]
         root = lower_root(expected @ expected.T + slope.nuisances[data] @ slope.nuisances[data].T)
         free = point.values[data] - slope.nuisances[data] @ point.nuisances
-        values, fixed = (solve_triangular(root, a, lower=True) for a in (free, ratios[data]))
-        q = np.linalg.qr(fixed)[0]
+        values, taken = (solve_triangular(root, a, lower=True) for a in (free, np.hstack([ratios[data], placed])))
+        q = orth(taken / np.maximum(np.linalg.norm(taken, axis=0), TINY))
+        if self.data <= q.shape[1]:
+            return float("nan")
         left = values - q @ (q.T @ values)
         return float(chi2.sf(float(left @ left), self.data - q.shape[1]))
 
