@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
@@ -78,13 +78,15 @@ SUPPORTS_TILT = np.deg2rad(5.0)
 @dataclass(frozen=True)
 class Rendered:
     """A subject's truth and its pushes, on the coarse and on the fine torso, as the steps see them; ``kind``: what else
-    the body has that the model lacks."""
+    the body has that the model lacks; ``true``: (F, V, 4, 2) mm on the detector, of each push, the corners that its
+    radiographs show, where they were kept."""
 
     ratios: dict[str, float]
     cobb_deg: float
     coarse: PushSet | None
     pushes: PushSet
     kind: str = ""
+    true: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def rendered_subject(seed: int, nodes: int, folder: Path) -> Rendered:
@@ -142,7 +144,7 @@ def radiographed_person(seed: int, nodes: int, folder: Path) -> Rendered:
     for name, how in (("frontal", DEFAULT_ACQUISITION), ("lateral", replace(DEFAULT_ACQUISITION, exposure=LATERAL))):
         pixels = _exposed(person.torso, [person.torso.rest_pose], [person.stood[name]], random, seed, how)
         _write(folder / "rest" / f"{name}.dcm", pixels, person.nominal[name], f"rest {name}", seed)
-    records = []
+    records, true = [], {}
     for push in person.records:
         view = standing(person.nominal["frontal"], random, lateral=False)
         sway = float(np.radians(SWAY_SD_DEG) * random.normal())
@@ -155,7 +157,8 @@ def radiographed_person(seed: int, nodes: int, folder: Path) -> Rendered:
         gauge = Gauge(load.points, load.forces)
         pixels = _exposed(person.torso, states, views, random, seed, gauge=gauge)
         _write(folder / "pushes" / f"{push.id}.dcm", pixels, person.nominal["frontal"], f"push {push.id}", seed)
-        corners = projected(person.torso, view, states[0])
+        seen = [projected(person.torso, at, state) for at, state in zip(views, states, strict=True)]
+        true[push.id], corners = np.stack(seen), seen[0]
         corners = corners + random.normal(0.0, ANNOTATION_MM * view.magnification, corners.shape)
         held = {
             "pelvis": person.torso.landmark("pelvis_belt"),
@@ -176,9 +179,9 @@ def radiographed_person(seed: int, nodes: int, folder: Path) -> Rendered:
     write_annotation(folder, Annotation(schema_version=1, images=images))
     visit = open_visit(folder)
     run_steps(visit, ("track", "personalise"))
-    seen = load_pushes(visit, "procrustes", "weighed")
+    found = load_pushes(visit, "procrustes", "weighed")
     coarse = load_start(visit, "procrustes", "weighed")
-    return Rendered(dict(person.ratios), person.cobb_deg, coarse, seen, person.kind)
+    return Rendered(dict(person.ratios), person.cobb_deg, coarse, found, person.kind, true)
 
 
 def _exposed(
