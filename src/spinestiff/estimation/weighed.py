@@ -84,7 +84,8 @@ class WeighedProblem:
     trial_set : the trials under load. still : those without, and their torso's problems.
     known : beside the trials.
     ratio_prior : what is held of the ratios; None: they are flat in log.
-    limits : of the log ratios. What one at a limit can't explain no chance explains (``p_value``).
+    limits : of the log ratios, in search and intervals. What one at a limit can't explain no chance explains
+        (``p_value``).
 
     Attributes
     ----------
