@@ -107,7 +107,7 @@ class WeighedProblem:
         count = len(trial_set.groups)
         self.ratio_prior = ratio_prior or RatioPrior(np.zeros((0, count)), np.zeros(0), {})
         self.unknowns: Unknowns = unknowns_of(
-            trial_set.trials, trial_set.problems, known.priors, known.taped, trial_set.groups
+            trial_set.problems, trial_set.trials, known.priors, known.taped, trial_set.groups
         )
         targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
         both = (*trial_set.targets, *targets)
