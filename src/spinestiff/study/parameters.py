@@ -66,7 +66,7 @@ def parameter_study(visit: Visit, say: Observer) -> ParameterStudy:
     )
     volume = [one for one in fit.weighed.nuisances if one.name == LAMBDA_UNKNOWN] if fit.weighed else []
     return ParameterStudy(
-        mesh=visit.settings.mesh,  # type: ignore[arg-type]
+        mesh=visit.settings.mesh,
         effects=effects,
         gradient=gradient,
         optimum=optimum,
