@@ -126,9 +126,9 @@ def rendered_subject(seed: int, nodes: int, folder: Path) -> Rendered:
     synthesise(folder, recipe)
     visit = open_visit(folder)
     run_steps(visit, ("track", "personalise"))
-    seen = load_pushes(visit, "procrustes", "weighed")
+    seen = load_pushes(visit, visit.manner)
     ratios = {"lateral_bending": bending, "tissue": tissue}
-    return Rendered(ratios, cobb, load_start(visit, "procrustes", "weighed"), seen)
+    return Rendered(ratios, cobb, load_start(visit, visit.manner), seen)
 
 
 def radiographed_person(seed: int, nodes: int, folder: Path) -> Rendered:
@@ -179,8 +179,8 @@ def radiographed_person(seed: int, nodes: int, folder: Path) -> Rendered:
     write_annotation(folder, Annotation(schema_version=1, images=images))
     visit = open_visit(folder)
     run_steps(visit, ("track", "personalise"))
-    found = load_pushes(visit, "procrustes", "weighed")
-    coarse = load_start(visit, "procrustes", "weighed")
+    found = load_pushes(visit, visit.manner)
+    coarse = load_start(visit, visit.manner)
     return Rendered(dict(person.ratios), person.cobb_deg, coarse, found, person.kind, true)
 
 

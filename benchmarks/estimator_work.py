@@ -71,7 +71,7 @@ def subject(seed: int, mesh: str) -> WeighedProblem:
         load = rib_push(model, "right", LEVEL, force)
         trials.append(Trial(load, seen(state, TRACKING_MM), view, f"{force:g} N", "push"))
     trial_set = TrialSet([fitted] * len(trials), trials, truth.groups, "procrustes", None)
-    return WeighedProblem(trial_set, [(fitted, still)], "procrustes", Known())
+    return WeighedProblem(trial_set, [(fitted, still)], "procrustes", Known(), limits=LIMITS)
 
 
 def fitted(problem: WeighedProblem, ratios: list[float]) -> tuple[WeighedFit | None, dict[str, object]]:
@@ -83,7 +83,7 @@ def fitted(problem: WeighedProblem, ratios: list[float]) -> tuple[WeighedFit | N
     try:
         first = problem.solve(np.log(ratios), np.zeros(len(problem.unknowns)))
         first_factorisations = trial_set.cost.factorisations
-        found = likeliest(problem, first, LIMITS, MOST_EVALUATIONS)
+        found = likeliest(problem, first, MOST_EVALUATIONS)
         status = found.status.name
     except EquilibriumError:
         pass
@@ -122,9 +122,9 @@ def campaign(starts: int, seed: int, mesh: str) -> dict[str, object]:
     trial_set = problem.trial_set
     trial_set.cost, trial_set.history[:] = FitCost(), []
     began = time.process_time()
-    likely, places = likely_ratios(problem, best, [Place(*place) for place in best.visited], LIMITS)
+    likely, places = likely_ratios(problem, best, [Place(*place) for place in best.visited])
     variance_budget(problem, best)
-    prior_changes(problem, best, places, LIMITS)
+    prior_changes(problem, best, places)
     names = list(TRUTH)
     work = {
         "evaluations": len(trial_set.history),

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from estimator_work import LIMITS, MOST_EVALUATIONS, subject
+from estimator_work import MOST_EVALUATIONS, subject
 
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import MESHES, template_torso
@@ -208,9 +208,9 @@ def estimated(mesh: str, backend: str) -> dict[str, Any]:
     logging.getLogger("spinestiff.mechanics.factor").addHandler(left)
     problem = subject(0, mesh)
     walls, cpus = [time.perf_counter()], [time.process_time()]
-    found = likeliest(problem, problem.solve(np.log(START), np.zeros(len(problem.unknowns))), LIMITS, MOST_EVALUATIONS)
+    found = likeliest(problem, problem.solve(np.log(START), np.zeros(len(problem.unknowns))), MOST_EVALUATIONS)
     walls, cpus = [*walls, time.perf_counter()], [*cpus, time.process_time()]
-    likely, _ = likely_ratios(problem, found, [Place(*place) for place in found.visited], LIMITS)
+    likely, _ = likely_ratios(problem, found, [Place(*place) for place in found.visited])
     walls, cpus = [*walls, time.perf_counter()], [*cpus, time.process_time()]
     return {
         "status": found.status.name,

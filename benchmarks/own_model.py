@@ -33,7 +33,7 @@ from told_intervals import solved_at_truth, told
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
-from spinestiff.estimation.evaluation import TrialSet
+from spinestiff.estimation.asked import weighed_problem
 from spinestiff.estimation.objective import residuals
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.weighed import WeighedProblem
@@ -65,12 +65,8 @@ def asked_of(seed: int, acquisition: Acquisition) -> Asked:
 
 def asked_with(pushes: PushSet, ratios: Mapping[str, float], cobb_deg: float) -> Asked:
     """The estimate's own model of pushes at true ratios."""
-    both = [(pushes.problems[item.push], item.trial) for item in pushes.fitted]
-    loaded = [one for one in both if one[1].load.size > 0.0]
-    still = [one for one in both if one[1].load.size == 0.0]
     groups = parameter_groups(pushes.torso, NAMES)
-    trial_set = TrialSet([p for p, _ in loaded], [t for _, t in loaded], groups, pushes.orientation, None)
-    problem = WeighedProblem(trial_set, still, pushes.orientation, pushes.known)
+    problem = weighed_problem(*pushes.posed(pushes.fitted), groups, pushes.orientation, None, pushes.known)
     return Asked(pushes, np.log([ratios[name] for name in NAMES]), cobb_deg, problem)
 
 

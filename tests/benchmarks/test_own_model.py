@@ -9,7 +9,7 @@ import pytest
 
 from programs import benchmark
 from spinestiff.estimation.objective import make_target, residuals
-from spinestiff.study.visit import load_pushes, open_visit
+from spinestiff.study.visit import Manner, load_pushes, open_visit
 
 benchmark("coverage_subjects")
 own_model = benchmark("own_model")
@@ -18,7 +18,7 @@ RATIOS = {"lateral_bending": 0.1, "tissue": 0.05}
 
 @pytest.fixture(scope="module")
 def asked(finished):
-    return own_model.asked_with(load_pushes(open_visit(finished.folder), "procrustes", "weighed"), RATIOS, 30.0)
+    return own_model.asked_with(load_pushes(open_visit(finished.folder), Manner()), RATIOS, 30.0)
 
 
 def own_trials(asked, random):

@@ -188,19 +188,20 @@ class Column:
     ) -> WeighedProblem:
         loaded = [trial for trial in trials if trial.load.size]
         still = [(self.problem, trial) for trial in trials if not trial.load.size]
-        return WeighedProblem(self.trial_set(loaded, names), still, "procrustes", Known(priors or Priors()))
+        known = Known(priors or Priors())
+        return WeighedProblem(self.trial_set(loaded, names), still, "procrustes", known, limits=self.limits)
 
     def searched(
         self, problem: WeighedProblem, start: Sequence[float] = (1.0, 1.0), max_evaluations: int = 50
     ) -> WeighedFit:
         """Where the weighed search for the least phi ends from ratios to ``start`` at."""
         first = problem.solve(np.log(start), np.zeros(len(problem.unknowns)))
-        return search(problem, first, self.limits, max_evaluations)
+        return search(problem, first, max_evaluations)
 
     def estimated(self, problem: WeighedProblem, start: Sequence[float] = (1.0, 1.0)) -> WeighedFit:
         """The likeliest ratios, nuisances integrated out."""
         first = problem.solve(np.log(start), np.zeros(len(problem.unknowns)))
-        return likeliest(problem, first, self.limits, 50)
+        return likeliest(problem, first, 50)
 
 
 @pytest.fixture(scope="session")
@@ -268,7 +269,7 @@ def found(column, asked) -> WeighedFit:
 
 @pytest.fixture(scope="session")
 def told(column, asked, found) -> tuple[Likely, tuple[Place, ...]]:
-    return likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)
+    return likely_ratios(asked, found, [Place(*place) for place in found.visited])
 
 
 @pytest.fixture(scope="session")

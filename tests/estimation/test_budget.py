@@ -76,7 +76,7 @@ def test_without_one_unknown_is_what_a_fit_without_it_would_say(column, noisy, f
 
 
 def test_other_priors_against_fits_with_them(column, noisy, asked, found, places) -> None:
-    changes = prior_changes(asked, found, places, column.limits)
+    changes = prior_changes(asked, found, places)
     assert {change.name for change in changes} == {*asked.unknowns.groups, *asked.noise.parts, DRAG, DISCREPANCY}
     assert {change.factor for change in changes} == {0.5, 2.0}
     names = (("force scale", "force_scale"), ("push height", "push_height_mm"), ("annotation", "annotation_mm"))
@@ -89,8 +89,8 @@ def test_other_priors_against_fits_with_them(column, noisy, asked, found, places
             assert np.allclose(change.sd, sd_of(again), rtol=0.1), (name, factor)
 
 
-def test_the_estimate_hardly_depends_on_a_prior_that_explains_nothing(asked, found, places, column) -> None:
-    changes = prior_changes(asked, found, places, column.limits)
+def test_the_estimate_hardly_depends_on_a_prior_that_explains_nothing(asked, found, places) -> None:
+    changes = prior_changes(asked, found, places)
     for change in changes:
         apart = (np.log(change.ratios) - found.point.log_ratios) / sd_of(found)
         assert np.abs(apart).max() < 1.0, change.name

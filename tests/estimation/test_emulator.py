@@ -141,7 +141,7 @@ def test_places_of_a_rougher_model_tell_the_shape(column, noisy, found, places) 
     other = replace(column, problem=EquilibriumProblem(torso, column.problem.supports))
     asked = other.weighed(noisy)
     there = other.searched(asked)
-    rough = likely_ratios(asked, there, [Place(*place) for place in there.visited], other.limits)[1]
+    rough = likely_ratios(asked, there, [Place(*place) for place in there.visited])[1]
     estimate = [Place(found.point, found.slope)]
     own, both = Emulator(estimate, found.weights), Emulator(estimate, found.weights, rough=rough)
     assert both.phi(found.point.log_ratios)[0] == pytest.approx(phi(found.point, found.weights), abs=1e-2)

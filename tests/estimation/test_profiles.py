@@ -327,7 +327,7 @@ def test_drawn_nuisances_spread_as_the_fit_says(found, likely) -> None:
 def ended(column, trials, names=("lateral_bending", "tissue"), start=(1.0, 1.0)):
     asked = column.weighed(trials, names=names)
     found = column.estimated(asked, start)
-    return likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)[0]
+    return likely_ratios(asked, found, [Place(*place) for place in found.visited])[0]
 
 
 def test_what_the_pictures_do_not_show_is_flat(column, clean) -> None:
@@ -343,7 +343,7 @@ def test_a_hole_between_places_is_solved_and_not_drawn_from(column, clean) -> No
     priors = Priors(tissue_volume=0.0, rib_joints=0.0)
     asked = column.weighed(clean, priors, names=("lateral_bending", "flexion_extension"))
     found = column.estimated(asked)
-    likely, _ = likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)
+    likely, _ = likely_ratios(asked, found, [Place(*place) for place in found.visited])
     assert likely.kinds == ("bounded", "one-sided")
     assert (likely.open_low[1], likely.open_high[1]) == (False, True)
     for profile in likely.profiles:

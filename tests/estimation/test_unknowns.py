@@ -42,7 +42,7 @@ def trials(column):
 
 
 def of(column, trials, priors=None, taped=False):
-    return unknowns_of(trials, [column.problem] * len(trials), priors or Priors(), taped)
+    return unknowns_of([column.problem] * len(trials), trials, priors or Priors(), taped)
 
 
 def touched(unknowns, name):
@@ -113,7 +113,7 @@ def test_a_hinged_pelvis_has_no_obliquity_of_its_own(column, trials) -> None:
     held = column.problem.supports.held.copy()
     held[column.torso.bone("pelvis"), 5] = False
     hinged = EquilibriumProblem(column.torso, replace(column.problem.supports, held=held))
-    found = unknowns_of(trials, [hinged] * 4, Priors())
+    found = unknowns_of([hinged] * 4, trials, Priors())
     assert not any(unknown.act == "obliquity" for unknown in found.each)
     assert any(unknown.act == "shoulder" for unknown in found.each)
 
@@ -179,7 +179,7 @@ def test_a_ratio_that_is_fitted_is_no_unknown_beside_itself(column, trials) -> N
         return [parameter_group(name, column.torso.joints.kinds) for name in names]
 
     def volume(*names):
-        found = unknowns_of(trials, [column.problem] * 4, Priors(), fitted=groups(*names))
+        found = unknowns_of([column.problem] * 4, trials, Priors(), fitted=groups(*names))
         assert {"trunk breadth", "trunk depth"} <= set(found.names)
         return "tissue's volume" in found.names
 

@@ -210,23 +210,23 @@ def test_the_first_of_two_searches_need_not_end_close(column, asked, found, monk
     assert (np.abs(logs(ended) - logs(closer)) < 0.01 * sd_of(found)).all()
 
 
-def test_short_steps_are_taken_until_little_is_left(column, asked, found, monkeypatch) -> None:
+def test_short_steps_are_taken_until_little_is_left(asked, found, monkeypatch) -> None:
     monkeypatch.setattr(mode, "_mixed", lambda trail, *args: 0.1 * trail[-1][1])
     start = asked.solve(found.point.log_ratios + 0.3, found.point.nuisances, found.point)
-    again = search(asked, start, column.limits, 100)
+    again = search(asked, start, 100)
     assert again.status is FitStatus.CONVERGED
     # Each step goes a tenth of the way, also where little is left of it.
     assert again.short < np.sqrt(2.0 * mode.NEARLY)
 
 
-def test_a_search_that_goes_to_and_fro_ends_and_tells_how_near_it_is(column, asked, found, monkeypatch) -> None:
+def test_a_search_that_goes_to_and_fro_ends_and_tells_how_near_it_is(asked, found, monkeypatch) -> None:
     """Each side's weights promise the same little of the other one, and phi is less there, as where equilibria jump."""
     step = 0.1 * sd_of(found)
     ways, sinking = (sign * step for _ in range(50) for sign in (1.0, -1.0)), iter(np.arange(1000.0, 0.0, -1.0))
     monkeypatch.setattr(mode, "gauss_newton_step", lambda point, *args: (next(ways), point.nuisances, 0.005))
     monkeypatch.setattr(mode, "phi", lambda *args: next(sinking))
     monkeypatch.setattr(mode, "_mixed", lambda *args: None)
-    ended = search(asked, found.point, column.limits, 40)
+    ended = search(asked, found.point, 40)
     assert ended.status is FitStatus.CONVERGED
     assert ended.short == pytest.approx(0.1)
     assert len(ended.visited) == mode.MOST_WANDERED + 1
@@ -420,24 +420,25 @@ def test_a_known_tilt_is_followed_from_the_start(column, asked) -> None:
     """As on a finer mesh: no place beside the end is solved for."""
     estimate = column.estimated(asked)
     start = asked.solve(estimate.point.log_ratios, estimate.point.nuisances, estimate.point)
-    again = mode.likeliest(asked, start, column.limits, 50, tilt=estimate.tilt)
+    again = mode.likeliest(asked, start, 50, tilt=estimate.tilt)
     assert (np.abs(logs(again) - logs(estimate)) < 0.01 * sd_of(estimate)).all()
     assert len(again.visited) < 3
 
 
-def test_a_tilt_that_does_not_settle_is_told(column, asked, found, monkeypatch) -> None:
+def test_a_tilt_that_does_not_settle_is_told(asked, found, monkeypatch) -> None:
     monkeypatch.setattr(mode, "CHANGED_SD", 0.0)
     monkeypatch.setattr(mode, "MOST_TILTS", 1)
     start = asked.solve(logs(found), found.point.nuisances, found.point)
-    ended = mode.likeliest(asked, start, column.limits, 50)
+    ended = mode.likeliest(asked, start, 50)
     assert ended.status is FitStatus.CONVERGED
     assert ended.carried > 0.05 > ended.short
 
 
-def test_beside_a_limit_the_tilt_is_told_from_inside(column, noisy, asked) -> None:
+def test_beside_a_limit_the_tilt_is_told_from_inside(column, noisy) -> None:
     limits = (column.limits[0], float(np.log(0.3)))
+    asked = replace(column, limits=limits).weighed(noisy)
     first = asked.solve(np.log([0.3, 0.3]), np.zeros(len(asked.unknowns)))
-    ended = mode.likeliest(asked, first, limits, 50)
+    ended = mode.likeliest(asked, first, 50)
     assert all((place.log_ratios <= limits[1] + 1e-12).all() for place, _ in ended.visited)
     assert ended.tilt is not None and (np.abs(ended.tilt.slopes(logs(ended)[None])) > 0.05).any()
 
@@ -472,7 +473,7 @@ def test_a_search_among_failing_equilibria_stalls(column, noisy, brittle) -> Non
 
 
 @pytest.fixture
-def jumping(column, asked, found, monkeypatch):
+def jumping(asked, found, monkeypatch):
     """Where any step from beside the minimum goes, phi is larger by 1: as where a crease appears."""
 
     def solve(*args, real=asked.solve, **kwargs):
@@ -482,7 +483,7 @@ def jumping(column, asked, found, monkeypatch):
     def begun(sds: float) -> WeighedFit:
         start = asked.solve(logs(found) + sds * sd_of(found) * [1.0, 0.0], found.point.nuisances, found.point)
         monkeypatch.setattr(asked, "solve", solve)
-        return mode.search(asked, start, column.limits, 50)
+        return mode.search(asked, start, 50)
 
     return begun
 
@@ -502,7 +503,7 @@ def test_a_search_beside_a_jump_ends_within_a_quarter_of_an_sd_once_all_was_trie
     assert len(ended.visited) > 1
 
 
-def test_a_search_where_phi_is_rough_ends_and_tells_how_near_it_is(asked, found, column, monkeypatch) -> None:
+def test_a_search_where_phi_is_rough_ends_and_tells_how_near_it_is(asked, found, monkeypatch) -> None:
     """Small jumps all over the place: steps that promise much are refused at every length."""
 
     def solve(log_ratios, *args, real=asked.solve, **kwargs):
@@ -512,13 +513,13 @@ def test_a_search_where_phi_is_rough_ends_and_tells_how_near_it_is(asked, found,
 
     start = asked.solve(logs(found) + 2.0 * sd_of(found), found.point.nuisances, found.point)
     monkeypatch.setattr(asked, "solve", solve)
-    ended = mode.search(asked, start, column.limits, 50)
+    ended = mode.search(asked, start, 50)
     assert ended.status is FitStatus.CONVERGED
     assert 0.12 < ended.short < 1.0
     assert (np.abs(logs(ended) - logs(found)) < 0.5 * ended.short * sd_of(found)).all()
 
 
-def test_a_search_where_slopes_are_rough_ends_once_enough_was_refused(asked, found, column, monkeypatch) -> None:
+def test_a_search_where_slopes_are_rough_ends_once_enough_was_refused(asked, found, monkeypatch) -> None:
     """Each promises a little that there is not: many steps are refused, and short ones lead nowhere."""
 
     def places(seed: int, most: int) -> int:
@@ -532,7 +533,7 @@ def test_a_search_where_slopes_are_rough_ends_once_enough_was_refused(asked, fou
         with monkeypatch.context() as patch:
             patch.setattr(asked, "slope", slope)
             patch.setattr(mode, "MOST_REFUSED", most)
-            ended = mode.search(asked, start, column.limits, 80)
+            ended = mode.search(asked, start, 80)
         assert ended.status is FitStatus.CONVERGED
         assert ended.short < 0.25
         assert (np.abs(logs(ended) - logs(found)) < 0.08 * sd_of(found)).all()

@@ -27,7 +27,7 @@ from spinestiff.study.sensitivity import (
     weighed_cases,
     with_force,
 )
-from spinestiff.study.visit import Settings, open_visit, pushes_on
+from spinestiff.study.visit import Manner, Settings, open_visit, pushes_on
 from spinestiff.study.wording.numbers import fixed
 from spinestiff.study.wording.sensitivity import (
     estimator_columns,
@@ -65,7 +65,7 @@ def test_force_and_stiffness_enter_an_equilibrium_by_their_ratio_alone(finished)
     visit = open_visit(finished.folder, COARSE)
     torso, states = visit.torso(), []
     for factor in (1.0, 1.1):
-        pushes = pushes_on(with_force(visit, factor), torso, "procrustes", "paper")
+        pushes = pushes_on(with_force(visit, factor), torso, Manner(method="paper"))
         item = pushes.training[-1]
         ratios = torso_ratios(torso, {"everything": 0.5 * factor})
         states.append(pushes.problems[item.push].solve(item.trial.load, ratios).require().state)
@@ -100,7 +100,7 @@ def test_another_default_modulus_does_not_change_a_part_beside_its_whole(monkeyp
         (("tissue", "tissue@thorax"), {"tissue"}),
         (("lateral_bending", "tissue@thorax"), {"tissue@thorax"}),
     ):
-        estimate = SimpleNamespace(orientation="procrustes", method="weighed")
+        estimate = SimpleNamespace(orientation="procrustes", method="weighed", population=None)
         basis = SimpleNamespace(visit=visit, torso=None, estimate=estimate, names=names)
         cases = [case for case in weighed_cases(basis) if case.what == "default modulus"]
         assert [set(case.scale) for case in cases] == [scaled] * 2

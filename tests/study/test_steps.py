@@ -240,7 +240,7 @@ def test_a_failed_check_makes_the_estimate_doubtful(subject, finished):
         dataset.save_as(subject / f"{name}.dcm")
     visit = open_visit(subject)
     geometry = read_outcome(visit.subject, GeometryRecord)
-    record = written.estimate_record(visit, load_pushes(visit, "procrustes", "weighed"), finished.fit, geometry)
+    record = written.estimate_record(visit, load_pushes(visit, visit.manner), finished.fit, geometry)
     assert record.status == "DOUBTFUL"
     assert record.fit_status == finished.fit.status.name
     assert [check.name for check in record.failed] == ["same patient", "size of the force"]
@@ -315,7 +315,7 @@ def test_a_frame_whose_supports_moved_is_found_and_kept(subject):
     assert frames[1].shoulder_mm.value == pytest.approx(6.7, abs=1.0)
     assert max(frames[3].support_motion_mm.values()) < 3.0
     assert any(line.startswith("track: push 'main' frame 1: the ") for line in lines)
-    pushes = load_pushes(visit, "procrustes", "weighed")
+    pushes = load_pushes(visit, visit.manner)
     assert [t.frame for t in pushes.of_role("training")] == [1, 2]
     (warning,) = [w for w in pushes.warnings if "moved by" in w]
     assert warning.startswith("push 'main' frame 1: the ")
@@ -525,7 +525,7 @@ def test_other_parameters_and_a_population_asked_in_subject_json(subject, finish
     # At its own equilibria.
     compared = []
     monkeypatch.setattr(truth, "rise_of", lambda *args: compared.append(args[1:]) or 1.0)
-    truth.compare_with_truth(record, load_pushes(visit, "procrustes", "weighed"), visit.truth)
+    truth.compare_with_truth(record, load_pushes(visit, visit.manner), visit.truth)
     wanted = {names[0]: true_bending, "tissue": read_truth(visit.truth)["tissue"]}
     assert compared == [(fit_end(record), wanted, record.training_rmse_mm.fit, None)]
 

@@ -27,7 +27,7 @@ def with_truth(tmp_path, **ratios):
 def made(finished):
     """The finished subject's estimate and trials."""
     visit = open_visit(finished.folder)
-    return read_outcome(visit.subject, Estimate), load_pushes(visit, "procrustes", "weighed")
+    return read_outcome(visit.subject, Estimate), load_pushes(visit, visit.manner)
 
 
 def test_the_truth_is_measured_on_the_model(finished, made, tmp_path):

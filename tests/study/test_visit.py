@@ -12,7 +12,7 @@ from spinestiff.estimation.fitted import METHODS
 from spinestiff.files import read_json, write_json
 from spinestiff.study.predictions import Model
 from spinestiff.study.steps import estimated_model
-from spinestiff.study.visit import Settings, load_pushes, open_visit
+from spinestiff.study.visit import Manner, Settings, load_pushes, open_visit
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import read_outcome
@@ -92,7 +92,7 @@ def test_a_truth_may_be_named_by_text(finished):
 
 def test_ratios_are_read_back(finished):
     visit = open_visit(finished.folder)
-    pushes = load_pushes(visit, "procrustes", "weighed")
+    pushes = load_pushes(visit, visit.manner)
     model = estimated_model(read_outcome(visit.subject, Estimate), pushes)
     assert model.ratios.as_dict() == finished.fit.ratios.as_dict()
     assert model.known == Model.of(finished.fit).known
@@ -102,12 +102,12 @@ def test_ratios_are_read_back(finished):
 
 @pytest.mark.parametrize("orientation", ["procrustes", "covariance"])
 def test_trials_keep_the_orientation_that_was_asked(finished, orientation):
-    assert load_pushes(open_visit(finished.folder), orientation, "weighed").orientation == orientation
+    assert load_pushes(open_visit(finished.folder), Manner(orientation)).orientation == orientation
 
 
 def test_the_papers_method_holds_the_pelvis_level_and_no_population(finished):
     visit = open_visit(finished.folder)
-    weighed, paper = (load_pushes(visit, "procrustes", method, "koutras2025").known for method in METHODS)
+    weighed, paper = (load_pushes(visit, Manner("procrustes", method, "koutras2025")).known for method in METHODS)
     assert (weighed.population, paper.population) == ("koutras2025", None)
     assert weighed.priors.obliquity_deg > paper.priors.obliquity_deg == 0.0
 
@@ -125,13 +125,13 @@ def test_the_papers_method_holds_the_pelvis_level_and_no_population(finished):
 def test_a_tracked_file_that_is_not_whole_is_refused(subject, damage, field):
     altered(subject, Tracked, lambda content: damage(content["pushes"]["main"]))
     with pytest.raises(SubjectError, match=rf"tracked\.json: .*{field}.*; run spinestiff track {subject} again"):
-        load_pushes(open_visit(subject), "procrustes", "weighed")
+        load_pushes(open_visit(subject), Manner())
 
 
 def test_a_tracked_file_of_other_frames_is_refused(subject):
     altered(subject, Tracked, lambda content: content["pushes"]["main"]["frames"].pop())
     with pytest.raises(SubjectError, match="push 'main': 3 tracked frames for 4 forces_n; run spinestiff track again"):
-        load_pushes(open_visit(subject), "procrustes", "weighed")
+        load_pushes(open_visit(subject), Manner())
 
 
 def test_a_torso_is_read_only_as_it_was_written(subject):

@@ -73,7 +73,7 @@ def seven(
     from spinestiff.subject.lock import sole_run
     from spinestiff.subject.program import program_of_numbers
 
-    settings = Settings(mesh=mesh)
+    settings = Settings(mesh=mesh)  # type: ignore[arg-type]
     place = page or folder / "study.md"
     usable_folder(folder)
     check_page(place)

@@ -130,18 +130,14 @@ def repeated_sds(problem: WeighedProblem, fit: WeighedFit, annotation_alone: boo
 
 
 def prior_changes(
-    problem: WeighedProblem,
-    fit: WeighedFit,
-    places: Sequence[Place],
-    limits: tuple[float, float],
-    rough: Sequence[Place] = (),
+    problem: WeighedProblem, fit: WeighedFit, places: Sequence[Place], rough: Sequence[Place] = ()
 ) -> tuple[PriorChange, ...]:
     """The estimate with each prior's standard deviation halved and doubled, on the emulator."""
     found: list[PriorChange] = []
     for group in problem.unknowns.groups:
         for factor in FACTORS:
             sds = np.where(problem.unknowns.in_group(group), factor, 1.0)
-            found.append(_changed(group, factor, Emulator(places, fit.weights, sds, rough=rough), fit, limits))
+            found.append(_changed(group, factor, Emulator(places, fit.weights, sds, rough=rough), fit, problem.limits))
     parts = covariance_parts(problem, fit)
     kept = (DRAG, DISCREPANCY, *problem.noise.parts)
     fixed = sum(parts[name] for name in (TRACKING, *kept))
@@ -149,7 +145,7 @@ def prior_changes(
         for factor in FACTORS:
             root = lower_root(fixed + (factor**2 - 1.0) * parts[name])
             weights = Weights(root, fit.weights.tracking_factor, fit.weights.inflation)
-            found.append(_changed(name, factor, Emulator(places, weights, rough=rough), fit, limits))
+            found.append(_changed(name, factor, Emulator(places, weights, rough=rough), fit, problem.limits))
     return tuple(found)
 
 

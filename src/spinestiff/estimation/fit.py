@@ -114,8 +114,8 @@ def fit_stiffness(
     default = None if begin.states is not None and method == "weighed" else _default_point(trial_set)
     if method == "weighed":
         nuisances = np.array([begin.nuisances.get(name, 0.0) for name in asked.unknowns.names])
-        start_point = _start_point(asked, first, nuisances, default, limits, begin.states)
-        end = _weighed_end(asked, start_point, limits, begin.rough, extent, max_iterations, close_sd)
+        start_point = _start_point(asked, first, nuisances, default, begin.states)
+        end = _weighed_end(asked, start_point, begin.rough, extent, max_iterations, close_sd)
     else:
         end = _paper_end(trial_set, first, default, limits, max_iterations)
     point, likely = end.point, None if end.weighed is None else end.weighed.likely
@@ -168,7 +168,6 @@ class _End:
 def _weighed_end(
     asked: WeighedProblem,
     start: WeighedPoint,
-    limits: tuple[float, float],
     rough: StiffnessFit | None,
     extent: Extent,
     max_iterations: int,
@@ -177,12 +176,12 @@ def _weighed_end(
     coarser = _of_the_same(asked, rough)
     places = () if coarser is None else coarser.places
     if len(start.log_ratios) > MOST_PROFILED:
-        found = search(asked, start, limits, max_iterations, close_sd)
+        found = search(asked, start, max_iterations, close_sd)
     else:
         tilt = None if coarser is None else coarser.tilt
-        found = likeliest(asked, start, limits, max_iterations, close_sd, tilt)
-    likely, known = _likely(asked, found, limits, extent, places)
-    weighed = told(asked, found, likely, known, limits, places, extent == "everything")
+        found = likeliest(asked, start, max_iterations, close_sd, tilt)
+    likely, known = _likely(asked, found, extent, places)
+    weighed = told(asked, found, likely, known, places, extent == "everything")
     return _End(found.point.evaluation, found.status, ratio_covariance(found), found, weighed)
 
 
@@ -212,7 +211,6 @@ def _start_point(
     first: Floats,
     nuisances: Floats,
     default: Evaluation | None,
-    limits: tuple[float, float],
     starts: Sequence[TorsoState] | None,
 ) -> WeighedPoint:
     if starts is not None:
@@ -226,7 +224,7 @@ def _start_point(
     near = None if default is None else asked.at(default)
     # A start may lie where tissue creases, and take hundreds of factorisations; nearer to the default it does not.
     for share in NEARER_STARTS if first.any() else ():
-        nearer = np.clip(share * first, *limits)
+        nearer = np.clip(share * first, *asked.limits)
         try:
             start = asked.solve(nearer, nuisances, near, most_factorisations=MOST_FACTORISATIONS)
             break
@@ -251,17 +249,17 @@ def _of_the_same(asked: WeighedProblem, rough: StiffnessFit | None) -> Weighed |
 
 
 def _likely(
-    asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float], extent: Extent, rough: tuple[Place, ...]
+    asked: WeighedProblem, found: WeighedFit, extent: Extent, rough: tuple[Place, ...]
 ) -> tuple[Likely | None, tuple[Place, ...]]:
     """Intervals and draws, where they are asked for, and the places that they, or the shape, come from."""
     if extent == "estimate" or not found.status.usable:
         return None, ()
     places = [Place(*place) for place in found.visited]
     if len(found.point.log_ratios) > MOST_PROFILED:
-        return (None if extent == "shape" else linear_ratios(found, places, limits)), ()
+        return (None if extent == "shape" else linear_ratios(found, places, asked.limits)), ()
     if extent == "shape":
-        return None, telling_places(asked, found, places, limits)
-    return likely_ratios(asked, found, places, limits, rough)
+        return None, telling_places(asked, found, places)
+    return likely_ratios(asked, found, places, rough)
 
 
 def _ends(

@@ -73,7 +73,6 @@ SHORT = 1e-4
 def likeliest(
     problem: WeighedProblem,
     start: WeighedPoint,
-    limits: tuple[float, float],
     max_evaluations: int,
     close_sd: float = CLOSE_SD,
     tilt: Kriging | None = None,
@@ -86,18 +85,18 @@ def likeliest(
     tilt : half the log determinant of the nuisances' precision, if it is known, as from a coarser mesh.
     """
     if tilt is not None:
-        return search(problem, start, limits, max_evaluations, close_sd, tilt)
-    found = search(problem, start, limits, max_evaluations, max(close_sd, ROUGHLY_SD))
+        return search(problem, start, max_evaluations, close_sd, tilt)
+    found = search(problem, start, max_evaluations, max(close_sd, ROUGHLY_SD))
     known: list[tuple[Floats, float, Floats]] = []
     for _ in range(MOST_TILTS):
         if not found.status.usable:
             break
         before, model = found, reduced(found.point, found.slope, found.weights)
-        slope, beside = _precision_slope(problem, found, model, limits)
+        slope, beside = _precision_slope(problem, found, model)
         known.append((found.point.log_ratios, model.log_precision, slope))
         places, values, slopes = (np.array(part) for part in zip(*known))
         tilt = Kriging(places, values[:, None], slopes[:, None, :])
-        found = search(problem, found.point, limits, max_evaluations, close_sd, tilt, (found.slope, found.weights))
+        found = search(problem, found.point, max_evaluations, close_sd, tilt, (found.slope, found.weights))
         found = replace(found, visited=(*before.visited, *_pairs(beside), *found.visited))
         moved = found.point.log_ratios - before.point.log_ratios
         far = float(np.linalg.norm(model.ratios @ moved))
@@ -109,16 +108,14 @@ def likeliest(
     return found
 
 
-def _precision_slope(
-    problem: WeighedProblem, fit: WeighedFit, model: Reduced, limits: tuple[float, float]
-) -> tuple[Floats, list[Place]]:
+def _precision_slope(problem: WeighedProblem, fit: WeighedFit, model: Reduced) -> tuple[Floats, list[Place]]:
     """(P,) of half the log determinant of the nuisances' precision in log ratio, by differences, and the places beside
     the fit's that were solved for it. Where there is no equilibrium on either side, it is taken as 0."""
     point, slope, beside = fit.point, np.zeros(len(fit.point.log_ratios)), list[Place]()
     for i, axis in enumerate(np.eye(len(slope))):
-        for sign in (1.0, -1.0) if point.log_ratios[i] + BESIDE <= limits[1] else (-1.0,):
+        for sign in (1.0, -1.0) if point.log_ratios[i] + BESIDE <= problem.limits[1] else (-1.0,):
             target = point.log_ratios + sign * BESIDE * axis
-            if target[i] < limits[0]:
+            if target[i] < problem.limits[0]:
                 continue
             nuisances = model.nuisances + model.follow @ compliance_step(target - point.log_ratios)
             try:
@@ -137,7 +134,6 @@ def _precision_slope(
 def search(
     problem: WeighedProblem,
     start: WeighedPoint,
-    limits: tuple[float, float],
     max_evaluations: int,
     close_sd: float = CLOSE_SD,
     tilt: Kriging | None = None,
@@ -147,7 +143,6 @@ def search(
 
     Parameters
     ----------
-    limits : of the log ratios.
     max_evaluations : equilibria of all trials, the start's among them.
     close_sd : the length of an undamped step, in standard deviations, below which the search ends.
     tilt : of the log ratios, added to phi. known : first order around the start, and the weights there.
@@ -160,7 +155,7 @@ def search(
     promised = np.inf
     while True:
         weights = problem.weights(point, slope, weights)
-        step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits, _steepness(tilt, point))
+        step, nuisances, predicted = gauss_newton_step(point, slope, weights, problem.limits, _steepness(tilt, point))
         near = near + 1 if 0.5 * promised < predicted < NEARLY else 0
         wandered, least = (0, predicted) if predicted < 0.5 * least else (wandered + 1, least)
         promised, short = predicted, float(np.sqrt(2.0 * predicted))
@@ -172,7 +167,7 @@ def search(
         trail = _ahead(trail, point, step, nuisances) if predicted < SMALL else []
         mixed = _mixed(trail, slope, weights) if len(trail) > 1 else None
         places, nearly = [Place(point, slope), *visited], predicted < SETTLED
-        ahead = _Ahead(problem, places, weights, step, nuisances, mixed, nearly, limits, tilt)
+        ahead = _Ahead(problem, places, weights, step, nuisances, mixed, nearly, tilt)
         moved: WeighedPoint | None = None
         while moved is None and (target := ahead.target()) is not None:
             if evaluations >= max_evaluations:
@@ -222,12 +217,11 @@ class _Ahead:
         nuisances: Floats,
         mixed: Floats | None,
         nearly: bool,
-        limits: tuple[float, float],
         tilt: Kriging | None,
     ) -> None:
         self._problem, self._places, self._weights = problem, places, weights
         self._step, self._nuisances, self._mixed = step, nuisances, mixed
-        self._limits, self._tilt = limits, tilt
+        self._tilt = tilt
         self._guiding, self._shortest = not nearly, 0.25 if nearly else SHORTEST_STEP
         self.share, self.refused = 1.0, list[Place]()
 
@@ -241,12 +235,12 @@ class _Ahead:
         here = self._places[0].point
         if self._mixed is not None:
             p = len(self._step)
-            return np.clip(here.log_ratios + self._mixed[:p], *self._limits), here.nuisances + self._mixed[p:]
+            return np.clip(here.log_ratios + self._mixed[:p], *self._problem.limits), here.nuisances + self._mixed[p:]
         while self.share >= self._shortest:
             if not (self._guiding and self.refused):
-                target = np.clip(here.log_ratios + log_step(self.share * self._step), *self._limits)
+                target = np.clip(here.log_ratios + log_step(self.share * self._step), *self._problem.limits)
                 return target, here.nuisances + self.share * (self._nuisances - here.nuisances)
-            guided = _guided([*self._places, *self.refused], self._weights, self._limits, self._tilt)
+            guided = _guided([*self._places, *self.refused], self._weights, self._problem.limits, self._tilt)
             tried = [here.log_ratios, *(place.point.log_ratios for place in self.refused)]
             if not any(np.allclose(guided[0], where, rtol=0.0, atol=SAME) for where in tried):
                 return guided

@@ -93,20 +93,16 @@ class _Explored:
 
 
 def likely_ratios(
-    problem: WeighedProblem,
-    fit: WeighedFit,
-    visited: list[Place],
-    limits: tuple[float, float],
-    rough: Sequence[Place] = (),
+    problem: WeighedProblem, fit: WeighedFit, visited: list[Place], rough: Sequence[Place] = ()
 ) -> tuple[Likely, tuple[Place, ...]]:
     """Intervals, region and draws, and the places that they come from; solves the model at the intervals' ends.
 
     Parameters
     ----------
-    visited : places that the search solved. limits : of the log ratios.
+    visited : places that the search solved.
     rough : places that are known on a coarser mesh (``Emulator``).
     """
-    found = _explored(problem, fit, visited, limits, rough, CLOSE_ENOUGH)
+    found = _explored(problem, fit, visited, rough, CLOSE_ENOUGH)
     best, ends, emulator = fit.point.log_ratios, found.ends, found.emulator
     low, high = (np.array([where[i // 2] for i, (where, _) in enumerate(ends) if i % 2 == side]) for side in (0, 1))
     open_low, open_high = (
@@ -114,7 +110,7 @@ def likely_ratios(
     )
     rise = 0.5 * region_rise(1)
     kinds = tuple(
-        profile_kind(profile, best[i], bool(open_low[i]), bool(open_high[i]), limits, rise)
+        profile_kind(profile, best[i], bool(open_low[i]), bool(open_high[i]), problem.limits, rise)
         for i, profile in enumerate(found.profiles)
     )
     draws, effective = _draws(emulator, found.candidates, found.density)
@@ -137,33 +133,30 @@ def likely_ratios(
     )
 
 
-def telling_places(
-    problem: WeighedProblem, fit: WeighedFit, visited: list[Place], limits: tuple[float, float]
-) -> tuple[Place, ...]:
+def telling_places(problem: WeighedProblem, fit: WeighedFit, visited: list[Place]) -> tuple[Place, ...]:
     """Places that tell the shape of psi to somebody who solves the intervals' ends on a finer mesh: of this one's ends
     no more is wanted than ``ROUGHLY``. Parameters as ``likely_ratios`` has them."""
-    return tuple(_explored(problem, fit, visited, limits, (), ROUGHLY).places)
+    return tuple(_explored(problem, fit, visited, (), ROUGHLY).places)
 
 
 def _explored(
     problem: WeighedProblem,
     fit: WeighedFit,
     visited: list[Place],
-    limits: tuple[float, float],
     rough: Sequence[Place],
     close_enough: float,
 ) -> _Explored:
     """Ends, solved until emulator and model agree there by ``close_enough``."""
     places = [Place(fit.point, fit.slope.light), *visited]
     model = reduced(fit.point, fit.slope, fit.weights)
-    precision, covariance = bounded_precision(model, limits)
+    precision, covariance = bounded_precision(model, problem.limits)
     rise = 0.5 * region_rise(1)
-    candidates, density = _candidates(fit.point.log_ratios, covariance, limits)
+    candidates, density = _candidates(fit.point.log_ratios, covariance, problem.limits)
     failed: list[Floats] = []
     for solved in range(MOST_ROUNDS + 1):
         emulator = Emulator(places, fit.weights, rough=rough)
         scouts = np.vstack([candidates, *(place.point.log_ratios for place in places)])
-        tracer = Tracer(emulator, fit.point.log_ratios, covariance, limits, scouts)
+        tracer = Tracer(emulator, fit.point.log_ratios, covariance, problem.limits, scouts)
         profiles = tuple(tracer.profile(i, rise) for i in range(len(precision)))
         ends = [tracer.end(profile, i, sign, rise) for i, profile in enumerate(profiles) for sign in (-1.0, 1.0)]
         wanted = [where for where, _ in ends]

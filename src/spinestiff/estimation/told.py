@@ -31,7 +31,6 @@ def told(
     found: WeighedFit,
     likely: Likely | None,
     known: tuple[Place, ...],
-    limits: tuple[float, float],
     rough: tuple[Place, ...],
     everything: bool,
 ) -> Weighed:
@@ -39,14 +38,14 @@ def told(
 
     Parameters
     ----------
-    likely, known : intervals, and the places that they come from. limits : of the log ratios.
+    likely, known : intervals, and the places that they come from.
     rough : places that are known on a coarser mesh. everything : with variance budget and other priors.
     """
     budget: Budget | None = None
     changes: tuple[PriorChange, ...] = ()
     if everything and likely is not None:
         budget = variance_budget(asked, found)
-        changes = prior_changes(asked, found, known, limits, rough) if known else ()
+        changes = prior_changes(asked, found, known, rough) if known else ()
     return Weighed(
         nuisances=_nuisances(asked, found),
         acts=found.point.evaluation.acts,

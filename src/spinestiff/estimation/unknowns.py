@@ -117,8 +117,8 @@ class Unknowns(ShortRepr):
 
 
 def unknowns_of(
-    trials: Sequence[Trial],
     problems: Sequence[EquilibriumProblem],
+    trials: Sequence[Trial],
     priors: Priors,
     taped: bool = False,
     fitted: Sequence[ParameterGroup] = (),

@@ -85,7 +85,8 @@ class WeighedProblem:
     trial_set : the trials under load. still : those without, and their torso's problems.
     known : beside the trials.
     ratio_prior : what is held of the ratios; None: they are flat in log.
-    limits : of the log ratios. What one at a limit can't explain no chance explains (``p_value``).
+    limits : of the log ratios, in search and intervals. What one at a limit can't explain no chance explains
+        (``p_value``).
 
     Attributes
     ----------
@@ -107,7 +108,7 @@ class WeighedProblem:
         count = len(trial_set.groups)
         self.ratio_prior = ratio_prior or RatioPrior(np.zeros((0, count)), np.zeros(0), {})
         self.unknowns: Unknowns = unknowns_of(
-            trial_set.trials, trial_set.problems, known.priors, known.taped, trial_set.groups
+            trial_set.problems, trial_set.trials, known.priors, known.taped, trial_set.groups
         )
         targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
         both = (*trial_set.targets, *targets)

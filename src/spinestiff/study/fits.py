@@ -50,8 +50,7 @@ def rise_of(
 ) -> float:
     """By how much less likely other ratios are than an estimate (``estimation.ended.likelihood_rise``)."""
     return likelihood_rise(
-        [pushes.problems[t.push] for t in pushes.fitted],
-        [t.trial for t in pushes.fitted],
+        *pushes.posed(pushes.fitted),
         estimate,
         others,
         pushes.orientation,
@@ -72,8 +71,7 @@ def fit_pushes(
 ) -> StiffnessFit:
     """The fit of the training frames; arguments and errors are those of ``estimation.fit.fit_stiffness``."""
     return fit_stiffness(
-        [pushes.problems[t.push] for t in pushes.fitted],
-        [t.trial for t in pushes.fitted],
+        *pushes.posed(pushes.fitted),
         names,
         method,
         start,

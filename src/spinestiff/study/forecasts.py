@@ -64,8 +64,7 @@ def forecast_frames(
     items = [*seen, *unseen]
     known = states or {}
     return forecast_unseen(
-        [pushes.problems[item.push] for item in items],
-        [item.trial for item in items],
+        *pushes.posed(items),
         range(len(seen), len(items)),
         estimate,
         pushes.orientation,

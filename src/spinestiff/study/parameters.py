@@ -66,7 +66,7 @@ def parameter_study(visit: Visit, say: Observer) -> ParameterStudy:
     )
     volume = [one for one in fit.weighed.nuisances if one.name == LAMBDA_UNKNOWN] if fit.weighed else []
     return ParameterStudy(
-        mesh=visit.settings.mesh,  # type: ignore[arg-type]
+        mesh=visit.settings.mesh,
         effects=effects,
         gradient=gradient,
         optimum=optimum,
@@ -81,11 +81,8 @@ def parameter_effects(pushes: PushSet, fit: StiffnessFit) -> tuple[ParameterEffe
     """What the six parameters do at the training frames, largest first; ``fit`` is a weighed one of these pushes."""
     assert fit.weighed is not None
     # Ratios of overlapping groups multiply: the six stay at 1 beside the estimate's.
-    loaded = pushes.training
     groups = (*fit.ratios.groups, *parameter_groups(pushes.torso, (*SIX, "everything")))
-    trials = TrialSet(
-        [pushes.problems[t.push] for t in loaded], [t.trial for t in loaded], groups, pushes.orientation, None
-    )
+    trials = TrialSet(*pushes.posed(pushes.training), groups, pushes.orientation, None)
     own = len(fit.names)
 
     def moves(log_ratios: Floats, acts: Floats | None, starts: bool) -> Floats:
@@ -129,14 +126,8 @@ def objective_gradients(pushes: PushSet) -> tuple[tuple[GradientRow, ...], dict[
     """
     names = tuple(PAPER_RATIOS)
     fit = converged(fit_pushes(pushes, names, PAPER_RATIOS, "paper"))
-    loaded = pushes.training
-    trials = TrialSet(
-        [pushes.problems[t.push] for t in loaded],
-        [t.trial for t in loaded],
-        (*fit.ratios.groups, *parameter_groups(pushes.torso, SIX)),
-        pushes.orientation,
-        None,
-    )
+    groups = (*fit.ratios.groups, *parameter_groups(pushes.torso, SIX))
+    trials = TrialSet(*pushes.posed(pushes.training), groups, pushes.orientation, None)
 
     def gradient(log_ratios: Floats, starts: Sequence[object]) -> list[float]:
         states = [equilibrium.state for equilibrium in starts]  # type: ignore[attr-defined]
@@ -162,14 +153,8 @@ def default_gradients(pushes: PushSet) -> dict[str, float]:
     ------
     EquilibriumError : no equilibrium there.
     """
-    loaded = pushes.training
-    trials = TrialSet(
-        [pushes.problems[t.push] for t in loaded],
-        [t.trial for t in loaded],
-        parameter_groups(pushes.torso, SIX),
-        pushes.orientation,
-        None,
-    )
+    groups = parameter_groups(pushes.torso, SIX)
+    trials = TrialSet(*pushes.posed(pushes.training), groups, pushes.orientation, None)
     found = trials.gradient(trials.solve(np.zeros(len(SIX))))
     return {name: float(value) for name, value in zip(SIX, found)}
 

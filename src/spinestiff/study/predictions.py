@@ -89,9 +89,8 @@ def predicted_acts(pushes: PushSet, items: Sequence[PushTrial], model: Model) ->
 
     Supports that were measured in a frame are where that and the prediction together put them.
     """
-    trials = [item.trial for item in items]
-    problems = [pushes.problems[t.push] for t in items]
-    unknowns = unknowns_of(trials, problems, pushes.known.priors, pushes.known.taped)
+    problems, trials = pushes.posed(items)
+    unknowns = unknowns_of(problems, trials, pushes.known.priors, pushes.known.taped)
     acts = np.array(acts_by_name(unknowns, model.known))
     if not model.known:
         return acts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import ShortRepr
@@ -12,7 +12,7 @@ from spinestiff.estimation.asked import Start
 from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.study.fits import fit_pushes
 from spinestiff.study.trials import PushSet
-from spinestiff.study.visit import Visit, pushes_on, torso_on
+from spinestiff.study.visit import Manner, Visit, pushes_on, torso_on
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome
 
@@ -37,7 +37,7 @@ class Basis(ShortRepr):
 
     def pushes(self, method: Method = "weighed") -> PushSet:
         """The trials as the estimate had them."""
-        return pushes_on(self.visit, self.torso, self.estimate.orientation, method, self.estimate.population)
+        return pushes_on(self.visit, self.torso, replace(Manner.of(self.estimate), method=method))
 
     def refit(self, pushes: PushSet, start: Mapping[str, float] | None = None) -> StiffnessFit:
         """The estimate's ratios fitted to other trials, begun at ``start`` or at the estimate; no intervals.

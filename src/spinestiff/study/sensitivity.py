@@ -23,12 +23,12 @@ from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.files import read_text
 from spinestiff.formats import json_text
-from spinestiff.imaging.features import ORIENTATIONS, Orientation
+from spinestiff.imaging.features import ORIENTATIONS
 from spinestiff.observer import Observer
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study.fits import fit_pushes
 from spinestiff.study.refits import Basis, basis_of, converged
-from spinestiff.study.visit import Visit, has_start, pushes_on, torso_on
+from spinestiff.study.visit import Manner, Visit, has_start, pushes_on, torso_on
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.program import program_of_numbers
 from spinestiff.subject.records import LEVELS, PushRecord
@@ -159,7 +159,7 @@ def _record(basis: Basis, digest: str, found: Sequence[Refit], notes: Sequence[s
     ends = {name: (ratio.low, ratio.high) for name, ratio in estimate.ratios.items()}
     return Sensitivity(
         basis=digest,
-        mesh=basis.visit.settings.mesh,  # type: ignore[arg-type]
+        mesh=basis.visit.settings.mesh,
         parameters=basis.names,
         estimate=dict(estimate.values),
         interval95={name: None if None in both else both for name, both in ends.items()},  # type: ignore[misc]
@@ -224,21 +224,20 @@ def all_cases(basis: Basis) -> Iterator[Case]:
 def weighed_cases(basis: Basis) -> Iterator[Case]:
     """The estimate's ratios with one thing changed at a time."""
     visit, torso, estimate = basis.visit, basis.torso, basis.estimate
+    own = Manner.of(estimate)
 
-    def on(
-        changed: Visit, shaped: Callable[[], TorsoModel], orientation: Orientation, start: Ratios | None
-    ) -> StiffnessFit:
-        return basis.refit(pushes_on(changed, shaped(), orientation, estimate.method, estimate.population), start)
+    def on(changed: Visit, shaped: Callable[[], TorsoModel], manner: Manner, start: Ratios | None) -> StiffnessFit:
+        return basis.refit(pushes_on(changed, shaped(), manner), start)
 
     def case(
         what: Change,
         by: str,
         changed: Visit = visit,
         shaped: Callable[[], TorsoModel] = lambda: torso,
-        orientation: Orientation = estimate.orientation,
+        manner: Manner = own,
         scale: Mapping[str, float] | None = None,
     ) -> Case:
-        return Case("weighed", what, by, partial(on, changed, shaped, orientation), scale or {})
+        return Case("weighed", what, by, partial(on, changed, shaped, manner), scale or {})
 
     yield case("nothing", "")
     for sign in SIGNS:
@@ -247,8 +246,8 @@ def weighed_cases(basis: Basis) -> Iterator[Case]:
         if _movable(visit, sign):
             yield case("push level", _rib_words(sign), _with_level(visit, sign))
     for other in ORIENTATIONS:
-        if other != estimate.orientation:
-            yield case("corners", other, orientation=other)
+        if other != own.orientation:
+            yield case("corners", other, manner=replace(own, orientation=other))
     if has_start(visit) and visit.settings.mesh == "coarse":
         # The estimate itself, made from the same frames in the same way.
         yield Case("weighed", "mesh", "fine", lambda start: estimate.values, {})
@@ -276,12 +275,13 @@ def paper_cases(basis: Basis) -> Iterator[Case]:
     changed but where it begins: what the others tell is known no better than where that one ends.
     """
     visit, estimate = basis.visit, basis.estimate
+    manner = replace(Manner.of(estimate), method="paper")
     middle = float(np.exp(np.mean(np.log(list(estimate.values.values())))))
     usual = {"everything": middle, BENDING: estimate.values.get("lateral_bending", middle)}
     usual |= dict.fromkeys(("tissue", "tissue_mu"), estimate.values.get("tissue", middle))
 
     def fit(names: tuple[str, ...], factor: float, apart: Sequence[float], start: Ratios | None) -> StiffnessFit:
-        pushes = pushes_on(with_force(visit, factor), basis.torso, estimate.orientation, "paper")
+        pushes = pushes_on(with_force(visit, factor), basis.torso, manner)
         begun = [float(np.clip((start or usual)[name] * share, *RATIO_BOUNDS)) for name, share in zip(names, apart)]
         return converged(fit_pushes(pushes, names, dict(zip(names, begun)), "paper"))
 

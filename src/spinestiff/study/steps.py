@@ -13,7 +13,7 @@ from spinestiff.anatomy.regions import AT, expanded, torso_ratios
 from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import EquilibriumError, NoMinimum
 from spinestiff.estimation.evaluation import FitStep
-from spinestiff.estimation.fitted import Method, StiffnessFit
+from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.files import write_bytes, write_text
@@ -57,7 +57,7 @@ from spinestiff.study.summary import (
 from spinestiff.study.support_notes import strongest_notes, support_notes
 from spinestiff.study.trials import PushSet
 from spinestiff.study.truth import compare_with_truth, read_truth
-from spinestiff.study.visit import START, Visit, load_pushes, load_start
+from spinestiff.study.visit import START, Manner, Visit, load_pushes, load_start
 from spinestiff.study.wording.estimate import no_estimate
 from spinestiff.study.wording.steps import response_lines
 from spinestiff.study.written import estimate_record, geometry_record, proposal_record, rest_shape, write_draws
@@ -194,12 +194,7 @@ def estimate_step(visit: Visit, say: Observer) -> None:
     ------
     NoMinimum : the fit ended without a minimum; nothing is written. It names the likeliest mistakes.
     """
-    pushes = load_pushes(
-        visit,
-        visit.settings.orientation,  # type: ignore[arg-type]
-        visit.settings.method,
-        visit.population,
-    )
+    pushes = load_pushes(visit, visit.manner)
     geometry = read_outcome(visit.subject, GeometryRecord)
     identities = read_identities(visit.subject)
     checks = judge_inputs(visit.subject.record, rest_shape(geometry), pushes, identities)
@@ -248,14 +243,14 @@ def assess_step(visit: Visit, say: Observer) -> None:
     """
     subject = visit.subject
     estimate = read_outcome(subject, Estimate)
-    pushes = load_pushes(visit, estimate.orientation, estimate.method, estimate.population)
+    pushes = load_pushes(visit, Manner.of(estimate))
     fit = estimated_model(estimate, pushes)
     models = {"default": Model(), "fit": fit}
     say("fitting the one-ratio baseline")
     known = read_solved(result_path(subject, "training.npz", "estimate"))
     starts = [known[t.push, t.frame, "fit"].state for t in pushes.training]
     middle = float(np.exp(np.mean(np.log(list(estimate.values.values())))))
-    single = single_ratio(pushes, middle, estimate.method, fit.known, starts)  # type: ignore[arg-type]
+    single = single_ratio(pushes, middle, estimate.method, fit.known, starts)
     if single is not None:
         models["single_ratio"] = single
     if visit.truth is not None:
@@ -298,7 +293,7 @@ def stored_predictions(visit: Visit) -> Predictions:
     SubjectError : an earlier step has not run, or its results are not as it left them.
     """
     estimate = read_outcome(visit.subject, Estimate)
-    pushes = load_pushes(visit, estimate.orientation, estimate.method, estimate.population)
+    pushes = load_pushes(visit, Manner.of(estimate))
     known = read_solved(result_path(visit.subject, "predictions.npz", "assess"))
     return predictions_of(pushes, known)
 
@@ -343,9 +338,8 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
         say(f"evaluation {step.iteration}{beside}: {tried}: {loss}")
 
     names = expanded(pushes.torso, visit.parameters)
-    method: Method = visit.settings.method  # type: ignore[assignment]
-    usual = usual_ratios(names)
-    coarse = load_start(visit, pushes.orientation, method, pushes.known.population)
+    method, usual = visit.settings.method, usual_ratios(names)
+    coarse = load_start(visit, visit.manner)
     try:
         return fit_from_coarse(coarse, pushes, names, usual, method, progress, say)
     except NoMinimum as error:

@@ -137,6 +137,10 @@ class PushSet(ShortRepr):
         pushes = {trial.push for trial in self.training}
         return (*self.training, *(t for t in self.trials if t.push in pushes and t.force_n == 0.0))
 
+    def posed(self, items: Sequence[PushTrial]) -> tuple[list[EquilibriumProblem], list[Trial]]:
+        """The problem of each of these frames, and their trials, as a fit takes them."""
+        return [self.problems[item.push] for item in items], [item.trial for item in items]
+
     def reference(self, push: str) -> PushTrial:
         """The frame of a push with the least force, to which changes are measured."""
         return min((t for t in self.trials if t.push == push), key=lambda t: t.force_n)

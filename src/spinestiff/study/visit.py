@@ -11,13 +11,15 @@ from spinestiff.anatomy.regions import check_parameters, parameter_groups
 from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import FitError, SpinestiffError, SubjectError
-from spinestiff.estimation.fitted import METHODS
+from spinestiff.estimation.discrepancy_data import Mesh
+from spinestiff.estimation.fitted import METHODS, Method
 from spinestiff.estimation.ratio_priors import POPULATIONS, ratio_prior
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
 from spinestiff.study.judgement import failed, judge_motion
 from spinestiff.study.subject_body import subject_template
 from spinestiff.study.trials import PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcomes import Tracked
@@ -44,9 +46,9 @@ class Settings:
     redo : make everything anew, also what a run that was stopped has left.
     """
 
-    mesh: str = "fine"
-    method: str = "weighed"
-    orientation: str = "procrustes"
+    mesh: Mesh = "fine"
+    method: Method = "weighed"
+    orientation: Orientation = "procrustes"
     parameters: tuple[str, ...] | None = None
     population: str | None = None
     redo: bool = False
@@ -69,6 +71,26 @@ class Settings:
 
 
 @dataclass(frozen=True)
+class Manner:
+    """How an estimate is made.
+
+    Attributes
+    ----------
+    orientation : of a vertebra in the picture. method : the paper's holds the pelvis level and knows no population.
+    population : whose ratios are held as a prior; None: nobody's.
+    """
+
+    orientation: Orientation = "procrustes"
+    method: Method = "weighed"
+    population: str | None = None
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> Manner:
+        """How an estimate was made."""
+        return cls(estimate.orientation, estimate.method, estimate.population)
+
+
+@dataclass(frozen=True)
 class Visit:
     """A subject with what is asked of it; ``truth`` is the truth file of a synthetic one."""
 
@@ -86,6 +108,11 @@ class Visit:
         """Whose ratios are held as a prior; None: nobody's."""
         asked = self.settings.population or self.subject.record.population
         return None if asked == NOBODY else asked
+
+    @property
+    def manner(self) -> Manner:
+        """How the estimate is to be made."""
+        return Manner(self.settings.orientation, self.settings.method, self.population)
 
     def file(self, name: str) -> Path:
         """Path of a result, there or not."""
@@ -130,14 +157,14 @@ def _check_prior(visit: Visit) -> None:
         raise SubjectError(f"{error}; estimate the whole spine's bending, or ask for no population") from None
 
 
-def load_start(visit: Visit, orientation: Orientation, method: str, population: str | None = None) -> PushSet | None:
+def load_start(visit: Visit, manner: Manner) -> PushSet | None:
     """The same trials on the coarse torso that an estimate on the fine one starts on; None where there is none.
 
     Raises
     ------
     SubjectError : as ``load_pushes``.
     """
-    return pushes_on(visit, torso_on(visit, "coarse"), orientation, method, population) if has_start(visit) else None
+    return pushes_on(visit, torso_on(visit, "coarse"), manner) if has_start(visit) else None
 
 
 def has_start(visit: Visit) -> bool:
@@ -163,14 +190,14 @@ def torso_on(visit: Visit, mesh: str) -> TorsoModel:
     return visit.torso()
 
 
-def load_pushes(visit: Visit, orientation: Orientation, method: str, population: str | None = None) -> PushSet:
-    """Trials of a visit that has been tracked and personalised; the paper's method holds the pelvis level.
+def load_pushes(visit: Visit, manner: Manner) -> PushSet:
+    """Trials of a visit that has been tracked and personalised.
 
     Raises
     ------
     SubjectError : an earlier step has not run, or its results are not as it left them.
     """
-    return pushes_on(visit, visit.torso(), orientation, method, population)
+    return pushes_on(visit, visit.torso(), manner)
 
 
 def motion_doubts(visit: Visit) -> tuple[str, ...]:
@@ -187,16 +214,14 @@ def motion_doubts(visit: Visit) -> tuple[str, ...]:
     return tuple(check.text for check in failed(judge_motion(record, pushes)))
 
 
-def pushes_on(
-    visit: Visit, torso: TorsoModel, orientation: Orientation, method: str, population: str | None = None
-) -> PushSet:
+def pushes_on(visit: Visit, torso: TorsoModel, manner: Manner) -> PushSet:
     """The same on a given torso."""
     tracked = read_outcome(visit.subject, Tracked)
     lacking = [push.id for push in visit.subject.pushes if push.id not in tracked.pushes]
     if lacking:
         raise SubjectError(f"{visit.file(Tracked.FILE)}: no push '{lacking[0]}'; run spinestiff track again")
-    record = visit.subject.record
-    if method == "paper":
+    record, population = visit.subject.record, manner.population
+    if manner.method == "paper":
         record, population = record.model_copy(update={"pelvis": "level", "wall": "bilateral"}), None
     known = known_of(record, read_outcome(visit.subject, GeometryRecord).matrix, population)
-    return push_set(torso, visit.subject.pushes, tracked.pushes, orientation, rig_of(record), known)
+    return push_set(torso, visit.subject.pushes, tracked.pushes, manner.orientation, rig_of(record), known)

@@ -270,7 +270,7 @@ class Estimate(OutcomeFile):
     training_rmse_mm: TrainingError
     reactions_n: Reactions
     history: tuple[FitStepRecord, ...]
-    method: str
+    method: Literal["weighed", "paper"]
     mesh: Literal["coarse", "fine"]
     orientation: Orientation
     bounds: Pair

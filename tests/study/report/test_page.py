@@ -139,7 +139,7 @@ def make_visit(folder: Path, side: int = 256, seed: int = 1) -> Visit:
         register(made.subject, outcome.STEP, outcome.FILE)
     write_outcome(made.subject, push_responses(made.subject))
     register(made.subject, "response", Responses.FILE)
-    pushes = load_pushes(made, "procrustes", "weighed")
+    pushes = load_pushes(made, made.manner)
     models = {"default": Model(), "fit": Model(stiffness_ratios(ESTIMATE, torso.joints.kinds))}
     write_solved(made.file("predictions.npz"), stored(predict(pushes, models, {}, lambda line: None)))
     write_outcome(made.subject, assessment_record())

@@ -33,7 +33,8 @@ def refits(monkeypatch):
             raise FitError("stalled")
         return SimpleNamespace(ratios=SimpleNamespace(as_dict=lambda: {"tissue": 0.02 * force}))
 
-    basis = SimpleNamespace(torso=None, estimate=SimpleNamespace(orientation=0.0, population=None), refit=refit)
+    estimate = SimpleNamespace(orientation="procrustes", method="weighed", population=None)
+    basis = SimpleNamespace(torso=None, estimate=estimate, refit=refit)
     monkeypatch.setattr(subject, "basis_of", lambda visit: basis)
     monkeypatch.setattr(subject, "with_force", lambda visit, force: force)
     monkeypatch.setattr(subject, "pushes_on", lambda force, *_: force)

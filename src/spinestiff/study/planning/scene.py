@@ -18,7 +18,7 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.push import Rig
 from spinestiff.personalise.pose import align_view, posed
 from spinestiff.study.trials import PushSet, known_of, rig_of
-from spinestiff.study.visit import USUAL, Visit, load_pushes, load_start, torso_on
+from spinestiff.study.visit import USUAL, Manner, Visit, load_pushes, load_start, torso_on
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, image_corners, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
@@ -150,9 +150,8 @@ def _of_estimate(visit: Visit) -> Scene:
             f"{visit.file(Estimate.FILE)}: is by the paper's method, which knows no uncertainty to narrow; "
             "run spinestiff estimate with --method weighed"
         )
-    pushes = load_start(visit, estimate.orientation, estimate.method, estimate.population)
-    if pushes is None:
-        pushes = load_pushes(visit, estimate.orientation, estimate.method, estimate.population)
+    manner = Manner.of(estimate)
+    pushes = load_start(visit, manner) or load_pushes(visit, manner)
     draws = np.log(read_draws(read_text(result_path(subject, "posterior.csv", "estimate")), estimate.parameters))
     first = pushes.fitted[0].trial
     seen = max((item.trial.corners.vertebrae for item in pushes.fitted), key=len)

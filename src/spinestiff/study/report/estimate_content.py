@@ -321,9 +321,7 @@ def support_places(predictions: Predictions, estimate: Estimate) -> dict[str, di
     items = [p.item for p in predictions.of_role("training", "validation")]
     if not items:
         return {}
-    unknowns = unknowns_of(
-        [t.trial for t in items], [pushes.problems[t.push] for t in items], pushes.known.priors, pushes.known.taped
-    )
+    unknowns = unknowns_of(*pushes.posed(items), pushes.known.priors, pushes.known.taped)
     places = [ACTS.index(name) for name in PLACING]
     found = predicted_acts(pushes, items, Model(known=known))[:, places]
     before = np.sqrt(np.sum(unknowns.acts[:, places] ** 2, axis=2))

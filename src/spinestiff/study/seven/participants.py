@@ -9,6 +9,7 @@ subject is that stiffness over the package's default.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -34,7 +35,7 @@ STEPS = 6  # of a push, so that corners can be followed
 SECONDARY = (0.25, 0.5)
 INITIAL_RMSE_MM, INITIAL_RMSE_SPREAD_MM = 2.39, 0.3
 COUNT_OTHERS = 30
-TABLES_MESH = "coarse"
+TABLES_MESH: Final = "coarse"
 """Of the gradients of Table 3 and the refits of Table 7, whatever the mesh of the estimates."""
 STREAM, FIRST_SEED = 37, 700
 # Of the others, the ranges of Tables 2 and 4.

@@ -39,7 +39,7 @@ from spinestiff.study.steps import stored_predictions
 from spinestiff.study.synthetic.recipe import Recipe
 from spinestiff.study.synthetic.spines import curved_spine
 from spinestiff.study.synthetic.subject import made_by, synthesise, truth_path
-from spinestiff.study.visit import Settings, Visit, open_visit, pushes_on
+from spinestiff.study.visit import Manner, Settings, Visit, open_visit, pushes_on
 from spinestiff.subject.assessment_outcome import Assessment, Comparison, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import image_corners, read_rest
@@ -237,7 +237,7 @@ def _outcome(
         program=program_of_numbers(),
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         settings=settings_digest(participant, settings),
-        mesh=settings.mesh,  # type: ignore[arg-type]
+        mesh=settings.mesh,
         name=participant.name,
         age=participant.age,
         sex=participant.sex,
@@ -284,8 +284,7 @@ def force_changes(visit: Visit, say: Observer) -> tuple[dict[str, float], tuple[
     basis = basis_of(visit)
 
     def refit(force: float, start: Mapping[str, float] | None) -> dict[str, float]:
-        estimate = basis.estimate
-        pushes = pushes_on(with_force(visit, force), basis.torso, estimate.orientation, "weighed", estimate.population)
+        pushes = pushes_on(with_force(visit, force), basis.torso, Manner.of(basis.estimate))
         return basis.refit(pushes, start).ratios.as_dict()
 
     there: dict[str, float] | None = None
