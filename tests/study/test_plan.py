@@ -22,9 +22,10 @@ from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.push import Rig
 from spinestiff.mechanics.sensitivity import Linearisation
+from spinestiff.study.draws import DRAWS_FILE, read_draws
 from spinestiff.study.planning import proposal, states, widths
 from spinestiff.study.planning.proposal import make_plan
-from spinestiff.study.planning.scene import PLACES, Scene, places_of_draws, population_places, read_draws, scene_of
+from spinestiff.study.planning.scene import PLACES, Scene, places_of_draws, population_places, scene_of
 from spinestiff.study.planning.wish import Frame, Wish
 from spinestiff.study.report.protocol import protocol_page
 from spinestiff.study.runner import run_steps
@@ -417,11 +418,12 @@ def test_places_follow_a_curved_valley() -> None:
     assert len(places_of_draws(draws[:3], 5)) == 3
 
 
-def test_draws_are_read_by_name() -> None:
-    text = "lateral_bending,tissue,gauge\n0.1,0.02,0.5\n0.2,0.04,-1\n"
-    np.testing.assert_array_equal(read_draws(text, ("tissue", "lateral_bending")), [[0.02, 0.1], [0.04, 0.2]])
-    with pytest.raises(SubjectError, match=r"posterior.csv: no draws of tissue, other"):
-        read_draws(text, ("tissue", "other"))
+def test_draws_are_read_by_name(tmp_path) -> None:
+    path = tmp_path / DRAWS_FILE
+    path.write_text("lateral_bending,tissue,gauge\n0.1,0.02,0.5\n0.2,0.04,-1\n", encoding="utf-8")
+    np.testing.assert_array_equal(read_draws(path, ("tissue", "lateral_bending")), [[0.02, 0.1], [0.04, 0.2]])
+    with pytest.raises(SubjectError, match=re.escape(f"{path}: no draws of tissue, other")):
+        read_draws(path, ("tissue", "other"))
 
 
 def test_impossible_wishes_are_refused(scene) -> None:

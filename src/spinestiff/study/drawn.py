@@ -15,10 +15,10 @@ from spinestiff.anatomy.regions import scaled_torso, torso_ratios
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.estimation.unknowns import RATIOS, with_unknowns
-from spinestiff.files import read_text, whole_folder, write_text
+from spinestiff.files import whole_folder, write_text
 from spinestiff.observer import Observer
+from spinestiff.study.draws import DRAWS_FILE, read_draws
 from spinestiff.study.plain import plain_stiffness
-from spinestiff.study.planning.scene import read_draws
 from spinestiff.study.visit import Visit
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome, refuse_changed, result_path
@@ -64,7 +64,7 @@ def drawn_ratios(visit: Visit, draws: int) -> Drawn:
                 "spinestiff estimate with --method weighed"
             )
         names = [*estimate.parameters, *(one.name for one in beside)]
-        known = read_draws(read_text(result_path(subject, "posterior.csv", "estimate")), names)
+        known = read_draws(result_path(subject, DRAWS_FILE, "estimate"), names)
         if draws > len(known):
             raise SubjectError(f"{subject.folder}: has {counted(len(known), 'draw')}; wanted {draws}")
         rows = np.linspace(0, len(known) - 1, draws).round().astype(int)

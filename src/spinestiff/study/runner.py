@@ -20,6 +20,7 @@ from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import check_writable, file_digest
 from spinestiff.observer import Observer, heard
 from spinestiff.study import steps as step_functions
+from spinestiff.study.draws import DRAWS_FILE
 from spinestiff.study.starting_torso import SCAN_PICTURE, left_of_shape
 from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE, RESPONSE_FILE
 from spinestiff.study.visit import START, Visit
@@ -144,8 +145,8 @@ ALL_STEPS: Mapping[str, Step] = {
         (PUSHES, ROLES, BODY, SUPPORTS),
         ("rest", "push"),
         ("tracked.json", *SHAPE),
-        ("estimate.json", ESTIMATE_FILE, "training.npz", "posterior.csv"),
-        lambda visit: () if visit.settings.method == "weighed" else ("posterior.csv",),
+        ("estimate.json", ESTIMATE_FILE, "training.npz", DRAWS_FILE),
+        lambda visit: () if visit.settings.method == "weighed" else (DRAWS_FILE,),
         lambda visit: {
             "method": visit.settings.method,
             "orientation": visit.settings.orientation,

@@ -26,6 +26,7 @@ from spinestiff.parallel import in_parallel
 from spinestiff.personalise.measured_skin import TrunkSize
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
+from spinestiff.study.draws import DRAWS_FILE, write_draws
 from spinestiff.study.fits import fit_from_coarse, fit_pushes
 from spinestiff.study.forecasts import fit_end, forecasts
 from spinestiff.study.frame_selection import frame_qualities, propose
@@ -60,7 +61,7 @@ from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import START, Manner, Visit, load_pushes, load_start
 from spinestiff.study.wording.estimate import no_estimate
 from spinestiff.study.wording.steps import response_lines
-from spinestiff.study.written import estimate_record, geometry_record, proposal_record, rest_shape, write_draws
+from spinestiff.study.written import estimate_record, geometry_record, proposal_record, rest_shape
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import (
@@ -213,7 +214,7 @@ def estimate_step(visit: Visit, say: Observer) -> None:
         visit.file("training.npz"),
         of_equilibria(training, fit.equilibria, "fit") | of_equilibria(training, fit.default_equilibria, "default"),
     )
-    write_draws(visit.file("posterior.csv"), fit)
+    write_draws(visit.file(DRAWS_FILE), fit)
     write_text(visit.file(ESTIMATE_FILE), estimate_csv(record))
     write_outcome(visit.subject, record)
 

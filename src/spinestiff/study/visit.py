@@ -10,13 +10,11 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.regions import check_parameters, parameter_groups
 from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.errors import FitError, SpinestiffError, SubjectError
+from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.fitted import METHODS, Method
 from spinestiff.estimation.ratio_priors import POPULATIONS, ratio_prior
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
-from spinestiff.study.judgement import failed, judge_motion
-from spinestiff.study.subject_body import subject_template
 from spinestiff.study.trials import PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
 from spinestiff.subject.estimate_outcome import Estimate
@@ -198,20 +196,6 @@ def load_pushes(visit: Visit, manner: Manner) -> PushSet:
     SubjectError : an earlier step has not run, or its results are not as it left them.
     """
     return pushes_on(visit, visit.torso(), manner)
-
-
-def motion_doubts(visit: Visit) -> tuple[str, ...]:
-    """What the motion in tracked pushes says against their forces and sides, before there is a torso of the subject;
-    nothing where the tracking can't be put beside the template.
-    """
-    record = visit.subject.record
-    try:
-        template = subject_template(record, "coarse")
-        tracked = read_outcome(visit.subject, Tracked).pushes
-        pushes = push_set(template, visit.subject.pushes, tracked, rig=rig_of(record))
-    except SpinestiffError:
-        return ()
-    return tuple(check.text for check in failed(judge_motion(record, pushes)))
 
 
 def pushes_on(visit: Visit, torso: TorsoModel, manner: Manner) -> PushSet:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
-from io import StringIO
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +11,6 @@ from spinestiff.estimation.discrepancy_data import mesh_size
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.profiles import region_rise
 from spinestiff.estimation.unknowns import ACTS, PLACING, UNITS
-from spinestiff.files import write_bytes
 from spinestiff.mechanics.loads import three_point_reactions
 from spinestiff.mechanics.push import support_forces
 from spinestiff.personalise.fitness import VertebraFit
@@ -227,22 +223,6 @@ def _weighed(pushes: PushSet, fit: StiffnessFit) -> dict[str, object]:
         "tracking_factor": found.tracking_factor,
         "outlying": {f"{vertebra}{OF_FRAME}{label}": size for label, vertebra, size in found.outlying},
     }
-
-
-def write_draws(path: Path, fit: StiffnessFit) -> None:
-    """Equally probable ratios and nuisances, one draw a row; without any an earlier file is taken away.
-
-    Nuisances are in standard deviations before the fit.
-    """
-    if fit.likely is None or fit.weighed is None:
-        path.unlink(missing_ok=True)
-        return
-    ratios, nuisances = fit.likely.draws
-    rows = StringIO()
-    writer = csv.writer(rows, lineterminator="\n")
-    writer.writerow([*fit.names, *(one.name for one in fit.weighed.nuisances)])
-    writer.writerows([f"{value:.6g}" for value in row] for row in np.hstack([np.exp(ratios), nuisances]))
-    write_bytes(path, rows.getvalue().encode())
 
 
 def rest_shape(geometry: GeometryRecord) -> RestShape:

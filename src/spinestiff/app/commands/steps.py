@@ -61,7 +61,7 @@ def track(folder: Folder, redo: Force = False) -> None:
 
 def response(folder: Folder, redo: Force = False) -> None:
     """N per degree of each push, and flexibility: from the corners alone, without a model."""
-    from spinestiff.study.visit import motion_doubts
+    from spinestiff.study.judgement.early import motion_doubts
 
     visit = run_steps_of(folder, ("response",), redo)
     print_response(visit)

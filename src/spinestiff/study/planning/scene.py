@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,10 +12,10 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.known import Known
-from spinestiff.files import read_text
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.push import Rig
 from spinestiff.personalise.pose import align_view, posed
+from spinestiff.study.draws import DRAWS_FILE, read_draws
 from spinestiff.study.trials import PushSet, known_of, rig_of
 from spinestiff.study.visit import USUAL, Manner, Visit, load_pushes, load_start, torso_on
 from spinestiff.subject.estimate_outcome import Estimate
@@ -85,15 +84,6 @@ def places_of_draws(log_ratios: Floats, count: int = PLACES) -> Floats:
     return np.array([log_ratios[part].mean(axis=0) for part in np.array_split(order, min(count, len(order)))])
 
 
-def read_draws(text: str, names: Sequence[str]) -> Floats:
-    """(D, P) columns of ``posterior.csv``, as they stand. Raises SubjectError where it has none of these names."""
-    rows = list(csv.DictReader(text.splitlines()))
-    try:
-        return np.array([[float(row[name]) for name in names] for row in rows]).reshape(-1, len(names))
-    except (KeyError, TypeError, ValueError):
-        raise SubjectError(f"posterior.csv: no draws of {', '.join(names)}; run spinestiff estimate again") from None
-
-
 def scene_of(visit: Visit) -> Scene:
     """A personalised subject: with its estimate if it has one, else as one of the population before any push.
 
@@ -152,7 +142,7 @@ def _of_estimate(visit: Visit) -> Scene:
         )
     manner = Manner.of(estimate)
     pushes = load_start(visit, manner) or load_pushes(visit, manner)
-    draws = np.log(read_draws(read_text(result_path(subject, "posterior.csv", "estimate")), estimate.parameters))
+    draws = np.log(read_draws(result_path(subject, DRAWS_FILE, "estimate"), estimate.parameters))
     first = pushes.fitted[0].trial
     seen = max((item.trial.corners.vertebrae for item in pushes.fitted), key=len)
     return Scene(
