@@ -14,14 +14,13 @@ truth = {"lateral_bending": 0.1, "tissue": 0.01}
 torso = ss.template_torso(height_cm=157, mesh="coarse")
 problem = ss.EquilibriumProblem(torso, ss.three_point_supports(torso, side="right"))
 view = ss.frontal_view(centre=torso.rest_pose.bone_positions[torso.bone("T12")])
-shares = ss.silhouette_shares(torso, view, torso.rest_pose)
 
 
 def trial(force_n: float) -> ss.Trial:
     """What a frontal radiograph shows of the true torso under a push from the right."""
     load = ss.rib_push(torso, side="right", level=8, force_n=force_n)
     pushed = problem.solve(load, ss.stiffness_ratios(truth)).require()
-    corners = ss.state_features(torso, view, pushed.state, shares).corners
+    corners = ss.state_features(torso, view, pushed.state).corners
     return ss.Trial(load, ss.VertebraCorners(torso.vertebrae, corners), view, label=f"{force_n:.0f} N", push="right")
 
 

@@ -180,7 +180,7 @@ def state_features(
     torso: TorsoModel,
     view: XRayView,
     state: TorsoState,
-    shares: Floats,
+    shares: Floats | None = None,
     orientation: Orientation = "procrustes",
     used: np.ndarray | None = None,
 ) -> Features:
@@ -190,12 +190,13 @@ def state_features(
     ----------
     torso, view : what is seen, from where.
     state : its pose.
-    shares : (V, 4) from ``silhouette_shares`` in the rest pose.
+    shares : (V, 4) from ``silhouette_shares``; default: those of the rest pose, which many states may share.
     orientation : "procrustes" (default) or "covariance" (the paper's SVD).
     used : (V, 4) bool, corners that also the radiograph has (``used_corners``); default all. A box is placed by these
         alone, so that a lost corner does not shift the simulated against the measured box.
     """
     count = len(torso.vertebrae)
+    shares = silhouette_shares(torso, view, torso.rest_pose) if shares is None else shares
     shares = read_only("silhouette shares", shares, (count, CORNERS), RadiographError)
     middle, half = halves(silhouette_pairs(torso, view))
     corners = (middle + shares[..., None] * half).reshape(-1, 3)

@@ -17,7 +17,6 @@ from spinestiff.imaging.features import (
     check_corners,
     place_boxes,
     reference_boxes,
-    silhouette_shares,
     state_features,
     vertebra_rows,
     view_kind,
@@ -57,9 +56,8 @@ def vertebra_fits(
     ----------
     weights : (P,) of the usable corners, in their order.
     """
-    rest = torso.rest_pose
     rows, used = vertebra_rows(torso, corners), corners.usable
-    simulated = state_features(torso, view, rest, silhouette_shares(torso, view, rest)).corners[rows]
+    simulated = state_features(torso, view, torso.rest_pose).corners[rows]
     seen, shown = (
         view.to_patient_plane(c.reshape(-1, 2)).reshape(-1, *FEATURE_SHAPE) for c in (corners.corners, simulated)
     )

@@ -19,7 +19,6 @@ from spinestiff.imaging.features import (
     picture_axes,
     place_boxes,
     reference_boxes,
-    silhouette_shares,
     state_features,
     used_corners,
     vertebra_rows,
@@ -62,8 +61,7 @@ def spines(torso: TorsoModel, trial: Trial) -> Spines:
     """The torso at rest beside what a trial's radiograph shows."""
     rows = vertebra_rows(torso, trial.corners)
     used = used_corners(torso, trial.corners)
-    shares = silhouette_shares(torso, trial.view, torso.rest_pose)
-    model = state_features(torso, trial.view, torso.rest_pose, shares, used=used).z
+    model = state_features(torso, trial.view, torso.rest_pose, used=used).z
     left, _ = picture_axes(trial.view)
     return Spines(trial.corners.vertebrae, rows, placed(torso, trial.view, trial.corners), model, left)
 

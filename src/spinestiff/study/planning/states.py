@@ -19,7 +19,7 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.objective import Picture, Trial
-from spinestiff.imaging.features import Features, VertebraCorners, silhouette_shares, state_features
+from spinestiff.imaging.features import Features, VertebraCorners, state_features
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
@@ -38,7 +38,7 @@ D21_MM, D31_MM = 400.0, 200.0
 
 
 def _at_rest(torso: TorsoModel, view: XRayView) -> Features:
-    return state_features(torso, view, torso.rest_pose, silhouette_shares(torso, view, torso.rest_pose))
+    return state_features(torso, view, torso.rest_pose)
 
 
 def none_carried(wish: Wish) -> EquilibriumError:
@@ -167,7 +167,7 @@ class CarriedPushes:
             except EquilibriumError:
                 break
             torso, view = problem.torso, trial.view
-            now = state_features(torso, view, state, silhouette_shares(torso, view, torso.rest_pose)).angle
+            now = state_features(torso, view, state).angle
             if np.ptp(now - rest) > MOST_TURN:
                 break
             found[frame] = state

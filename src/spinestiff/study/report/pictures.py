@@ -14,7 +14,6 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import tilts
 from spinestiff.estimation.unknowns import PLACING
 from spinestiff.imaging.features import (
-    silhouette_shares,
     state_features,
     target_features,
     used_corners,
@@ -91,8 +90,7 @@ def rest_picture(visit: Visit, torso: TorsoModel, name: str, geometry: GeometryR
     picture = read_rest(visit.subject, name)  # type: ignore[arg-type]
     corners = image_corners(visit.subject, f"rest/{name}", picture.view)
     view = geometry.views[name].view()
-    shares = silhouette_shares(torso, view, torso.rest_pose)
-    seen = state_features(torso, view, torso.rest_pose, shares).z[vertebra_rows(torso, corners)]
+    seen = state_features(torso, view, torso.rest_pose).z[vertebra_rows(torso, corners)]
     error = geometry.rmse_mm[name]
     panel = Panel(f"Rest, {name}", pixels_of(view, seen), error)
     overlay = _overlay(picture, view, corners.vertebrae, target_features(torso, view, corners), (panel,), None)

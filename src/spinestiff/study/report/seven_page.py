@@ -14,7 +14,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.files import write_bytes, write_text
-from spinestiff.imaging.features import silhouette_shares, state_features, target_features, vertebra_rows
+from spinestiff.imaging.features import state_features, target_features, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.synthetic.path_length import path_length
@@ -128,8 +128,7 @@ def _at_rest(visit: Visit, torso: TorsoModel) -> Shot:
     picture = read_rest(visit.subject, "frontal")
     corners = image_corners(visit.subject, "rest/frontal", picture.view)
     view, pose = align_view(torso, torso.rest_pose, picture.view, corners)
-    shares = silhouette_shares(torso, view, torso.rest_pose)
-    made = state_features(torso, view, torso.rest_pose, shares).z[vertebra_rows(torso, corners)]
+    made = state_features(torso, view, torso.rest_pose).z[vertebra_rows(torso, corners)]
     seen = target_features(torso, view, corners)
     title = f"initial pose, RMSE {pose.rms_mm:.1f} mm"
     return _shot(title, picture, view, seen, made, torso, torso.rest_pose)

@@ -222,10 +222,7 @@ def _outcome(
     predictions, truth = stored_predictions(visit), read_json(truth_path(visit.subject.folder))
     pushes = predictions.pushes
     reference = pushes.reference(MAIN).trial
-    rest = state_features(
-        pushes.torso, reference.view, pushes.torso.rest_pose,
-        silhouette_shares(pushes.torso, reference.view, pushes.torso.rest_pose), pushes.orientation,
-    ).z  # fmt: skip
+    rest = state_features(pushes.torso, reference.view, pushes.torso.rest_pose, orientation=pushes.orientation).z
     measured = target_features(pushes.torso, reference.view, reference.corners, pushes.orientation)
     rows = [pushes.torso.vertebrae.index(name) for name in reference.corners.vertebrae]
     largest = int(np.argmax(recipe.pushes[0].shares))
@@ -269,8 +266,7 @@ def _rest_cobb(visit: Visit) -> tuple[float, float]:
     picture = read_rest(visit.subject, "frontal")
     corners = image_corners(visit.subject, "rest/frontal", picture.view)
     rows = [torso.vertebrae.index(name) for name in corners.vertebrae]
-    shares = silhouette_shares(torso, picture.view, torso.rest_pose)
-    model = state_features(torso, picture.view, torso.rest_pose, shares).corners[rows]
+    model = state_features(torso, picture.view, torso.rest_pose).corners[rows]
     seen, made = (tilts(corners.vertebrae, found, picture.view) for found in (corners.corners, model))
     return round(cobb_angle(seen).degrees, 2), round(cobb_angle(made).degrees, 2)
 

@@ -419,9 +419,7 @@ class _VisitInMaking:
     ) -> ImageAnnotation:
         """What a person would click in a state's image, by default the unloaded torso's: the visible vertebrae, a
         little off, and with a pushed side pelvis and held shoulder. Raises SubjectError for fewer than ``fewest``."""
-        rest = self.torso.rest_pose
-        shares = silhouette_shares(self.torso, view, rest)
-        corners = state_features(self.torso, view, rest if state is None else state, shares).corners
+        corners = state_features(self.torso, view, self.torso.rest_pose if state is None else state).corners
         noise = self.random.normal(0.0, ANNOTATION_SD_MM, corners.shape) * view.magnification
         pixels = view.pixels(corners + noise).round(2)
         inside = self._shown(pixels, view).all(1)
@@ -435,7 +433,7 @@ class _VisitInMaking:
         if held_against is not None:
             held = {"pelvis": self.torso.landmark("pelvis_belt"), "shoulder": held_shoulder(self.torso, held_against)}
             for name, marked in held.items():
-                seen = view.pixels(view.project(marked.positions(rest))).round(2)
+                seen = view.pixels(view.project(marked.positions(self.torso.rest_pose))).round(2)
                 if self._shown(seen, view).all():
                     points[name] = seen.tolist()
         return ImageAnnotation.model_validate({"vertebrae": vertebrae, "supports": points})
@@ -468,8 +466,7 @@ class _VisitInMaking:
 
     def _tilts(self, state: TorsoState):  # type: ignore[no-untyped-def]
         view = self._nominal(frontal_view)
-        shares = silhouette_shares(self.torso, view, self.torso.rest_pose)
-        return tilts(VERTEBRAE, state_features(self.torso, view, state, shares).corners, view)
+        return tilts(VERTEBRAE, state_features(self.torso, view, state).corners, view)
 
 
 def misread(forces: Sequence[float], level: float, random: np.random.Generator) -> tuple[list[float], float]:
