@@ -49,8 +49,8 @@ from coverage_subjects import COARSE_NODES, START, Acquisition, make_subject, se
 from kept_rows import code, keep, prepare
 from told_intervals import solved_at_truth, told
 
+from spinestiff.anatomy.template import Mesh
 from spinestiff.errors import SpinestiffError
-from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.fitted import FitEnd, StiffnessFit
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.study.assessment import assess

@@ -45,12 +45,11 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RIB_ROTATION, parameter_group, stiffness_ratios
-from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.template import Mesh, template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.known import Known
 from spinestiff.estimation.load_acts import changed_load, load_changes
 from spinestiff.estimation.priors import Priors

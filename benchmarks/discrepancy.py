@@ -40,6 +40,7 @@ import numpy as np
 from discrepancy_pairs import EXPLICIT, FINE_EVERY, GRID, KINDS, LEVELS, ROOT, TRUNK
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.template import Mesh
 from spinestiff.arrays import Floats
 from spinestiff.estimation.discrepancy import (
     CHANNELS,
@@ -50,7 +51,7 @@ from spinestiff.estimation.discrepancy import (
     discrepancy_columns,
     motion_size,
 )
-from spinestiff.estimation.discrepancy_data import EXPECTED, MODES, DiscrepancyData, KindModes, Mesh, write_data
+from spinestiff.estimation.discrepancy_data import EXPECTED, MODES, DiscrepancyData, KindModes, write_data
 
 RESULTS = Path(__file__).parent / "results" / "discrepancy.json"
 DATA = ROOT / "src" / "spinestiff" / "estimation" / "data" / "discrepancy.npz"

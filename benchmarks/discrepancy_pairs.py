@@ -65,7 +65,7 @@ from spinestiff.anatomy.stiffness import (
     parameter_group,
     stiffness_ratios,
 )
-from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.template import Mesh, template_torso
 from spinestiff.anatomy.template.body import usual_mass
 from spinestiff.anatomy.template.options import with_options
 from spinestiff.anatomy.torso import TissueMesh, TorsoModel
@@ -73,7 +73,6 @@ from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, SpinestiffError
 from spinestiff.estimation.discrepancy import CHANNELS as TURNS
 from spinestiff.estimation.discrepancy import SIDES, motion_size, plane_motion
-from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.load_acts import load_changes
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS, POWERS, SCALED

@@ -18,12 +18,13 @@ from importlib.resources import as_file, files
 from io import BytesIO
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.template import Mesh
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import FitError
@@ -32,7 +33,6 @@ from spinestiff.files import regular_file, write_bytes
 
 SCHEMA = "spinestiff-discrepancy"
 SCHEMA_VERSION = 2
-Mesh = Literal["coarse", "fine"]
 # By the mesh that an estimate ends on, the kinds that it expects, and of how many people each. Everybody has a body of
 # their own, and differs from a mesh as another mesh of its size does; other laws of discs and tissue are expected of
 # one in seven each. Not here are kinds that are among an estimate's own unknowns (``unknowns``: ribs, volume, depth),

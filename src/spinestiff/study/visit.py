@@ -8,10 +8,9 @@ from typing import Any
 
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.regions import check_parameters, parameter_groups
-from spinestiff.anatomy.template import MESHES, template_torso
+from spinestiff.anatomy.template import MESHES, Mesh, template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import FitError, SubjectError
-from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.fitted import METHODS, Method
 from spinestiff.estimation.ratio_priors import POPULATIONS, ratio_prior
 from spinestiff.imaging.features import ORIENTATIONS, Orientation

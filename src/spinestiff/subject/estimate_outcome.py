@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from spinestiff.anatomy.template import Mesh
 from spinestiff.imaging.features import Orientation
 from spinestiff.subject.outcome_parts import (
     LEAST_FIRST,
@@ -271,7 +272,7 @@ class Estimate(OutcomeFile):
     reactions_n: Reactions
     history: tuple[FitStepRecord, ...]
     method: Literal["weighed", "paper"]
-    mesh: Literal["coarse", "fine"]
+    mesh: Mesh
     orientation: Orientation
     bounds: Pair
     poses: dict[str, PoseRecord]

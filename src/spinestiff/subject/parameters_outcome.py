@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+from spinestiff.anatomy.template import Mesh
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 
 
@@ -76,7 +77,7 @@ class ParameterStudy(OutcomeFile):
 
     FILE: ClassVar[str] = "parameters.json"
     STEP: ClassVar[str] = "parameters"
-    mesh: Literal["coarse", "fine"]
+    mesh: Mesh
     effects: tuple[ParameterEffect, ...]
     gradient: tuple[GradientRow, ...]
     optimum: dict[str, float]

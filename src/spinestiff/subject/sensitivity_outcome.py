@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from spinestiff.anatomy.template import Mesh
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 
 Series = Literal["weighed", "tied", "kept", "everything"]
@@ -56,7 +57,7 @@ class Sensitivity(OutcomeFile):
     FILE: ClassVar[str] = "sensitivity.json"
     STEP: ClassVar[str] = "sensitivity"
     basis: str
-    mesh: Literal["coarse", "fine"]
+    mesh: Mesh
     parameters: tuple[str, ...]
     estimate: dict[str, float]
     interval95: dict[str, tuple[float, float] | None]

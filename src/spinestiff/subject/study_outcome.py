@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from spinestiff.anatomy.template import Mesh
 from spinestiff.subject.assessment_outcome import CobbChangeRecord
 from spinestiff.subject.estimate_outcome import RatioEstimate
 from spinestiff.subject.outcome_parts import Outcome
@@ -57,7 +58,7 @@ class SubjectOutcome(Outcome):
     program: str
     settings: str
     date: str | None = None
-    mesh: Literal["coarse", "fine"]
+    mesh: Mesh
     name: str
     age: float
     sex: Literal["female", "male"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import as_file, files
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -22,7 +22,8 @@ from spinestiff.errors import TorsoError
 if TYPE_CHECKING:
     from spinestiff.anatomy.template.assemble import Skeleton
 
-MESHES = ("coarse", "fine")
+Mesh = Literal["coarse", "fine"]
+MESHES: tuple[Mesh, ...] = get_args(Mesh)
 # Of synthetic subjects; no estimate is made on it.
 OWN_MESH = "own"
 
