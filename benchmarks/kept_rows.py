@@ -74,11 +74,16 @@ def code() -> str:
         "benchmarks/judgement_subjects.py",
         "benchmarks/discrepancy_pairs.py",
         "src/spinestiff/estimation/data/*",
-        *(f"src/spinestiff/study/{name}.py" for name in ("elastic_supports", "trials", "forecasts", "predictions")),
+        *(
+            f"src/spinestiff/study/{name}.py"
+            for name in ("synthetic/elastic_supports", "trials", "visit", "fits", "forecasts", "predictions")
+        ),
     )
     rooms = ("anatomy", "mechanics", "estimation", "imaging", "personalise")
     patterns += tuple(f"src/spinestiff/{room}/**/*.py" for room in rooms)
-    files = [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
+    found = {pattern: sorted(ROOT.glob(pattern)) for pattern in patterns}
+    assert all(found.values()), [pattern for pattern, paths in found.items() if not paths]
+    files = [path for paths in found.values() for path in paths]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
 
 

@@ -10,12 +10,13 @@ then estimated on the coarse mesh, from the true ratios on and without intervals
     as tracked     what the steps found
     no supports    the same without the measured places of pelvis and shoulder
     true motion    corners as marked in the first frame of a push, that move as the vertebrae do
-    error model    corners by the error model of ``judgement_subjects``, as campaigns from corners have them; where the
-                   person stood is drawn anew
+    error model    corners by the error model of ``judgement_subjects``, as campaigns from corners have them: marks,
+                   stance, posture and place of each frame are drawn anew, and no supports are measured
 
-So the difference of the first and the third is tracking's, and that of the third and the truth belongs to all else:
-geometry, mesh, gauge, places, posture and what the body has that the model lacks. A log that exists is gone on with;
-needs the extra ``[mesh]``. A person takes four to five CPU minutes, most of it for radiographs.
+So the difference of the first and the third is that of tracked corners, and that of the third and the truth belongs to
+all else: geometry, mesh, gauge, places, posture, measured supports and what the body has that the model lacks. A log
+that exists is gone on with; needs the extra ``[mesh]``. A person takes four to five CPU minutes, most of it for
+radiographs.
 """
 
 from __future__ import annotations

@@ -74,6 +74,7 @@ def held_against(asked: WeighedProblem, found: WeighedFit, truth: Mapping[str, f
     likelihood = -0.5 * size - np.log(np.diag(root)).sum() - np.log(np.abs(np.diag(triangle))).sum()
     sds = np.sqrt(np.diag(np.linalg.inv(triangle.T @ triangle)))
     errors = point.log_ratios - np.linalg.solve(triangle, q.T @ values) - np.log([truth[name] for name in NAMES])
+    # The place of a sequence counts here, as it does not in ``WeighedProblem.p_value`` since 2026-11-30.
     p_value = float(chi2.sf(size, asked.data - len(NAMES)))
     return [float(f"{value:.5g}") for value in (likelihood, p_value, *sds, *errors)]
 

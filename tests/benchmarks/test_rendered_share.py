@@ -92,6 +92,9 @@ def test_the_page_has_the_stored_figures():
     seeds = ", ".join(map(str, stored["seeds"][:-1])) + f" and {stored['seeds'][-1]}"
     z = {kind: "{:.2f} ± {:.2f}".format(*stored["mean_z"][kind]["lateral_bending"]) for kind in share.KINDS}
     followed = stored["followed_median"]
+    rows = [json.loads(line) for line in share.RESULTS.with_suffix(".jsonl").read_text(encoding="utf-8").splitlines()]
+    drags = [push["drag"] for row in rows for push in row["followed"].values()]
+    backward = sum(drag < 0.0 for drag in drags)
     for words in (
         f"what {len(stored['seeds'])} of them ({seeds})",
         f"{z['as tracked']} with corners as tracked",
@@ -99,6 +102,7 @@ def test_the_page_has_the_stored_figures():
         f"{z['true motion']} with corners that move as the vertebrae do",
         f"{z['error model']} with corners by the tracker's error model",
         f"off by {followed['shift_error_mm']:.2f} mm sideways and by {followed['turn_error_deg']:.2f} degrees",
+        f"of which {backward} of {len(drags)} are dragged",
         f"dragged by {100.0 * followed['drag']:.1f} % of their motion",
     ):
         assert words in page, words

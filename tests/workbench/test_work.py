@@ -32,13 +32,21 @@ from spinestiff.imaging.radiograph import read_radiographs
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import read_subject, read_unannotated, write_annotation
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
-from spinestiff.subject.records import FurtherViewRecord, PushRecord, SubjectRecord
+from spinestiff.subject.records import (
+    FurtherViewRecord,
+    ImageXRayRecord,
+    PushRecord,
+    SubjectRecord,
+    TrunkRecord,
+    XRayRecord,
+)
 from spinestiff.subject.run_record import record_step, step_record, write_outcome
 from spinestiff.workbench import job_process, parcel
 from spinestiff.workbench.bench import open_bench
 from spinestiff.workbench.job_process import run_job, start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
 from spinestiff.workbench.jobs import Jobs
+from spinestiff.workbench.page_words import page_words
 from spinestiff.workbench.parcel import KEPT, nameless_parcel
 from spinestiff.workbench.rooms import open_root
 from spinestiff.workbench.unzip import unzip
@@ -581,7 +589,7 @@ def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_pa
 
 
 def test_what_leaves_a_house_is_named_value_by_value():
-    """A value that records get later on stays inside until somebody has judged it."""
+    """A value that records get later on stays inside until somebody has judged it; of what leaves whole, its parts."""
     told_anew = {
         SubjectRecord: {"schema_version", "id", "pushes", "torso", "skin_scan"},
         PushRecord: {"id", "frames", "views", "markers"},
@@ -589,6 +597,10 @@ def test_what_leaves_a_house_is_named_value_by_value():
     }
     for kind, others in told_anew.items():
         assert KEPT[kind] | others == set(kind.model_fields) and not KEPT[kind] & others
+    lengths = {"source_detector_mm", "source_patient_mm", "imager_pixel_mm", "beam"}
+    assert set(XRayRecord.model_fields) == {*lengths, "orientation", "scale", "images"}
+    assert set(ImageXRayRecord.model_fields) == lengths
+    assert set(TrunkRecord.model_fields) == {"breadth_mm", "depth_mm"}
 
 
 def test_zip_files_without_names_have_ids_of_their_own_and_name_what_they_leave_out(root, tmp_path):
@@ -938,3 +950,21 @@ def test_a_picture_of_what_has_changed_since_is_not_shown(served, root):
     assert shown() == ["frames.png"]
     (folder / "results" / "frames.png").write_bytes(b"of another run")
     assert shown() == []
+
+
+@pytest.mark.parametrize(
+    ("words", "page"),
+    [
+        ("run spinestiff estimate /data/girl again", "run it again"),
+        ("of track: lost; run spinestiff track again, or spinestiff run", "of track: lost; run it again"),
+        ("run spinestiff personalise and spinestiff estimate again", "run it again"),
+        ("run spinestiff estimate '/a b/girl' again; else", "run it again; else"),
+        ("name it there or, if it is at rest, with --frontal", "name it there or, if it is at rest, choose it below"),
+        (
+            "rays; if it is at rest name it with --lateral, if it shows a push in --pushes",
+            "rays; if it is at rest choose it below, if it shows a push mark it with the others of that push",
+        ),
+    ],
+)
+def test_what_a_terminal_says_is_whole_on_the_page(words, page):
+    assert page_words(words) == page

@@ -80,7 +80,8 @@ class Weighed(ShortRepr):
     ----------
     nuisances : all that was not quite known.
     acts : (T, len(ACTS)) of each loaded trial, ``unknowns.ACTS``.
-    p_value : of residuals as large, before any scale or weight is fitted; NaN where ratios take up all of them.
+    p_value : of residuals as large, before any scale or weight is fitted; NaN where ratios and
+        places of sequences take up all of them.
     tracking_factor : by which tracking's errors are larger than predicted.
     outlying : vertebrae that count less.
     likely : intervals, profiles and draws; None if not asked for. budget, changes : the same.

@@ -93,7 +93,7 @@ class Noise:
     ----------
     turns : (n, k) columns of the part "turn of the patient", which counts where more is seen than corners of frontal
         radiographs; k = 0 where there is no more.
-    placed : (n, k) columns of what a sequence was placed by before any fit, shifts of 1 mm and turns of 1 rad.
+    placed : (n, k) columns of a sequence's place in the picture, shifts of 1 mm and turns of 1 rad.
     """
 
     def __init__(

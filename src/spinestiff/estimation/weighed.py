@@ -306,7 +306,7 @@ class WeighedProblem:
         """Of residuals as large, with the covariance before any scale or weight is fitted.
 
         Of what neither a change of the ratios within their limits takes away of the data's nor another place of a
-        sequence in the picture, since that was fitted beforehand; what is held of ratios is no data. NaN where nothing
+        sequence in the picture, which a study fits beforehand; what is held of ratios is no data. NaN where nothing
         is left.
         """
         from scipy.stats import chi2

@@ -217,7 +217,7 @@ def run_steps(
     Parameters
     ----------
     steps : names of those wanted. force : run even what is current, and nothing of a run that was stopped is kept.
-    known : every step by name, in the order in which they run.
+    known : every step by name, in the order in which they run, with those that others bring or read from.
 
     Raises
     ------
@@ -298,7 +298,9 @@ def _as_compared(visit: Visit, name: str, record: StepRecord) -> StepRecord:
 
 def _refuse_stale(visit: Visit, result: str, known: Mapping[str, Step]) -> None:
     """Raise SubjectError unless a result of an earlier step is there, as written, and made from what is there now."""
-    step = next(name for name, step in known.items() if result in step.makes)
-    path = result_path(visit.subject, result, step)
-    if why := why_stale(visit.subject, step):
-        raise SubjectError(f"{path}: was {why}; run spinestiff {step} again, or spinestiff run")
+    maker = next((name for name, step in known.items() if result in step.makes), None)
+    if maker is None:
+        raise SubjectError(f"{visit.file(result)}: is made by none of the steps {', '.join(known)}")
+    path = result_path(visit.subject, result, maker)
+    if why := why_stale(visit.subject, maker):
+        raise SubjectError(f"{path}: was {why}; run spinestiff {maker} again, or spinestiff run")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 
-_COMMAND = re.compile(r"run spinestiff \w+(?: again| --redo)*(?: with --method weighed)?")
+_PATH, _AGAIN = r"(?: '[^']*'| [^\s;,]*/[^\s;,]*)?", r"(?: again| --redo)*"
+_FURTHER = rf"(?:(?:,? or|,? and) (?:run )?spinestiff \w+{_AGAIN})*"
+_COMMAND = re.compile(rf"run spinestiff \w+{_PATH}{_AGAIN}(?: with --method weighed)?{_FURTHER}")
 _SAID = (
     ("give --log-rate HZ", "give its entries a second"),
     ("; leave out --log-rate for this log", "; leave out its entries a second"),
@@ -21,6 +23,10 @@ _SAID = (
     ("named by --", "chosen as the radiograph at rest, "),
     ("but --frontal names another", "but another was chosen"),
     ("but --lateral names another", "but another was chosen"),
+    ("if it is at rest name it with --frontal, if it shows", "if it is at rest choose it below, if it shows"),
+    ("if it is at rest name it with --lateral, if it shows", "if it is at rest choose it below, if it shows"),
+    ("if it shows a push in --pushes", "if it shows a push mark it with the others of that push"),
+    ("name it there or, if it is at rest, with --frontal", "name it there or, if it is at rest, choose it below"),
     ("if it shows a push, name it in --pushes", "if it shows a push, mark it with the others of that push"),
     ("a push; name it in --pushes", "a push; mark it with the others of that push"),
     ("name it with --frontal", "choose it below"),

@@ -67,6 +67,9 @@ def test_a_frontal_one_at_rest_of_after_a_push_is_told(exported):
     assert sorting.reasons["a"].endswith(told) and told not in sorting.reasons["s"]
     assert told not in sort_files([exported("b", time="105900"), push]).reasons["b"]
     assert told not in sort_files([later, push], frontal=later).reasons["a"]
+    # A date on one side alone puts them in no order.
+    dated = exported("d", time="100000", AcquisitionDate="20261103")
+    assert told not in sort_files([dated, push]).reasons["d"]
 
 
 def test_words_of_the_series_go_before_time(exported):

@@ -113,7 +113,7 @@ def residuals_expected(record: SubjectRecord, fit: StiffnessFit, limits: Limits)
     if found is None:
         return impossible(name, "the paper's estimator expects no size of the errors")
     if np.isnan(found.p_value):
-        return impossible(name, "no residual is left to judge by, as there are as many ratios as data or more")
+        return impossible(name, "no residual is left to judge by: ratios and places in the picture take up all data")
     passed = found.p_value >= limits.p_value
     by_vertebra: dict[str, list[str]] = {}
     for label, vertebra, _ in found.outlying:

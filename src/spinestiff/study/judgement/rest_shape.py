@@ -9,6 +9,7 @@ import numpy as np
 
 from spinestiff.arrays import Floats
 from spinestiff.personalise.fitness import VertebraFit
+from spinestiff.personalise.shape import Personalised
 from spinestiff.study.judgement.limits import Limits
 from spinestiff.study.judgement.verdict import check
 from spinestiff.subject.estimate_outcome import Check
@@ -34,6 +35,11 @@ class RestShape:
     length_scale: float
     size_scale: Floats
     fits: Mapping[str, Mapping[str, VertebraFit]]
+
+    @classmethod
+    def of(cls, shaped: Personalised) -> RestShape:
+        """Of the result of ``personalise``."""
+        return cls(shaped.corner_sd_mm, shaped.length_scale, shaped.size_scale, shaped.fits)
 
 
 def length(record: SubjectRecord, shape: RestShape, limits: Limits) -> Check:

@@ -285,8 +285,10 @@ def _at_rest(mine: Sequence[Exported], view: str, days: Set[int]) -> tuple[Expor
 
 
 def _is_after(one: Exported, pushes: Sequence[PushFiles]) -> bool:
-    """Whether a radiograph is later than the first of a push."""
-    begun = [file.tags.moment for push in pushes for file in push.files if file.tags.moment is not None]
+    """Whether a radiograph is later than the first of a push; one with a date can't be put beside one without."""
+    files = [file.tags for push in pushes for file in push.files]
+    dated = one.tags.day is not None
+    begun = [tags.moment for tags in files if tags.moment is not None and (tags.day is not None) == dated]
     return one.tags.moment is not None and bool(begun) and one.tags.moment > min(begun)
 
 
