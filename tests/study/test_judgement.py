@@ -173,7 +173,7 @@ def test_as_many_ratios_as_residuals_leave_none_to_judge_by(sound):
     case = fitted_otherwise(sound, p_value=float("nan"))
     assert case.doubts() == {}
     assert case.check("residuals as expected").text == (
-        "not possible: no residual is left to judge by, as there are as many ratios as data or more"
+        "not possible: no residual is left to judge by: ratios and places in the picture take up all data"
     )
 
 

@@ -68,8 +68,9 @@ def test_a_frontal_one_at_rest_of_after_a_push_is_told(exported):
     assert told not in sort_files([exported("b", time="105900"), push]).reasons["b"]
     assert told not in sort_files([later, push], frontal=later).reasons["a"]
     # A date on one side alone puts them in no order.
-    dated = exported("d", time="100000", AcquisitionDate="20261103")
-    assert told not in sort_files([dated, push]).reasons["d"]
+    undated = exported("u", frames=3, time="110000", without=("AcquisitionDate",))
+    assert undated.tags.day is None and undated.tags.moment is not None
+    assert told not in sort_files([later, undated]).reasons["a"]
 
 
 def test_words_of_the_series_go_before_time(exported):
