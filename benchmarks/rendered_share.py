@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +170,8 @@ def main() -> None:
     asked = asked_for(__doc__, RESULTS, summed_up, first=FIRST, people=PEOPLE)
     if asked is None:
         return
+    if find_spec("mmgpy") is None:
+        raise SystemExit('the truths\' meshes need pip install -e ".[mesh]"')
     done = {row["seed"] for row in begun(asked.log)}
     for seed in range(asked.first, asked.first + asked.people):
         if seed not in done:

@@ -312,7 +312,12 @@ def test_a_log_without_times_needs_its_entries_a_second(root, serve, tmp_path):
             found = served.good("POST", f"/api/subjects/{key}/log", {**asked, **named, "rate_hz": steps})
             assert "20 a second" in found["columns"] and found["placed"]
             np.testing.assert_allclose(found["forces_n"], true, atol=2.5)
-        for bad, words in (({"rate_hz": 0.0}, "rate_hz"), ({"columns": ["load"]}, "names of both columns")):
+        for bad, words in (
+            ({"rate_hz": 0.0}, "rate_hz: found 0.0, wanted greater than or equal to 0.1"),
+            ({"columns": ["load"]}, "names of both columns"),
+            ({"columns": []}, "columns: found [], wanted at least 1 item"),
+            ({"columns": "ab"}, "columns: found 'ab', wanted a list"),
+        ):
             status, body = served.json("POST", f"/api/subjects/{key}/log", {**asked, **bad})
             assert status in (400, 422) and words in body["error"] and "--" not in body["error"], body
 

@@ -27,7 +27,7 @@ class LogWish:
     ``rate_hz`` : of one without times, entries a second; the name of the column of force suffices then.
     """
 
-    columns: tuple[str, str] | tuple[str] | None = None
+    columns: tuple[str, ...] | None = None
     time_unit: str | None = None
     force_unit: str | None = None
     offset_s: float | None = None

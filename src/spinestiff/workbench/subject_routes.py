@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI, Response
 from pydantic import Field
@@ -17,8 +17,6 @@ from spinestiff.workbench.gauge_log import LogWish, forces_of_log
 from spinestiff.workbench.overview import overview_csv
 
 Column = Annotated[str, Field(min_length=1, max_length=100)]
-T = TypeVar("T")
-Names = Annotated[T, Field(strict=False)]  # a JSON list for a tuple
 
 
 class Check(Sent):
@@ -45,7 +43,7 @@ class Log(Sent):
 
     push: Annotated[int, Field(ge=0, le=999)]
     text: str
-    columns: Names[tuple[Column, Column]] | Names[tuple[Column]] | None = None
+    columns: Annotated[tuple[Column, ...], Field(strict=False, min_length=1, max_length=2)] | None = None
     time_unit: Literal["s", "ms"] | None = None
     force_unit: Literal["N", "kgf", "lbf"] | None = None
     offset_s: Annotated[float, Field(ge=-1e9, le=1e9)] | None = None

@@ -152,9 +152,7 @@ class ForceLog:
         return np.where(untold, np.nan, self.at(times_s))
 
 
-def find_columns(
-    path: Path, names: tuple[str, str] | tuple[str] | None = None, rate_hz: float | None = None
-) -> LogColumns:
+def find_columns(path: Path, names: tuple[str, ...] | None = None, rate_hz: float | None = None) -> LogColumns:
     """The columns of time and force in a log.
 
     Parameters
@@ -186,7 +184,7 @@ def find_columns(
     raise _no_header(path, lines, wanted, "TIME,FORCE")
 
 
-def _untimed(path: Path, lines: list[str], names: tuple[str, str] | tuple[str] | None, rate_hz: float) -> LogColumns:
+def _untimed(path: Path, lines: list[str], names: tuple[str, ...] | None, rate_hz: float) -> LogColumns:
     """The columns of a log whose entries follow each other at a rate."""
     for way in (_by_words, _by_units) if names is None else ():
         header = _header(path, lines, way)
