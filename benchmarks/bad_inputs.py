@@ -63,9 +63,10 @@ from spinestiff.study.synthetic.spines import real_spine
 from spinestiff.study.synthetic.subject import synthesise
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import open_visit
+from spinestiff.subject.annotated_points import image_corners, image_pedicles
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate
-from spinestiff.subject.folder import image_corners, image_pedicles, read_subject
+from spinestiff.subject.folder import read_subject
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcomes import FrameProposals, Tracked
 from spinestiff.subject.run_record import read_outcome

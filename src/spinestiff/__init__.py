@@ -78,10 +78,10 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.study.synthetic.subject import synthesise as synthesise
     from spinestiff.study.visit import Settings as Settings
     from spinestiff.study.visit import open_visit as open_visit
+    from spinestiff.subject.annotated_points import image_corners as image_corners
+    from spinestiff.subject.annotated_points import image_supports as image_supports
     from spinestiff.subject.assessment_outcome import Assessment as Assessment
     from spinestiff.subject.estimate_outcome import Estimate as Estimate
-    from spinestiff.subject.folder import image_corners as image_corners
-    from spinestiff.subject.folder import image_supports as image_supports
     from spinestiff.subject.folder import read_push as read_push
     from spinestiff.subject.folder import read_subject as read_subject
     from spinestiff.subject.geometry_outcome import GeometryRecord as GeometryRecord
@@ -122,7 +122,8 @@ _MODULES = {
     "estimation.priors": ("Priors",),
     "curves.cobb": ("read_cobb",),
     "curves.corner_files": ("read_corner_file", "read_corners", "write_corners"),
-    "subject.folder": ("read_subject", "read_push", "image_corners", "image_supports"),
+    "subject.folder": ("read_subject", "read_push"),
+    "subject.annotated_points": ("image_corners", "image_supports"),
     "study.visit": ("open_visit", "Settings"),
     "study.runner": ("run_steps",),
     "study.steps": ("stored_predictions",),

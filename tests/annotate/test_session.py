@@ -25,7 +25,8 @@ from spinestiff.files import read_json
 from spinestiff.imaging.projection import lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.study.side_views import marked_pedicles
-from spinestiff.subject.folder import image_corners, push_corners, read_annotation, read_rest, read_subject
+from spinestiff.subject.annotated_points import image_corners, push_corners
+from spinestiff.subject.folder import read_annotation, read_rest, read_subject
 from spinestiff.subject.inspection import inspect
 from unannotated import CANARY, MM, drawn
 

@@ -38,8 +38,9 @@ from spinestiff.study.synthetic.subject import (
     synthesise,
     truth_path,
 )
+from spinestiff.subject.annotated_points import image_corners, image_supports
 from spinestiff.subject.annotation_record import ImageAnnotation
-from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject, read_view
+from spinestiff.subject.folder import read_push, read_rest, read_subject, read_view
 from spinestiff.subject.marker_table import read_markers
 
 PUSH = SyntheticPush("main", 8.0, (0.0, 1.0), ("unused", "training"))

@@ -16,13 +16,10 @@ from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.projection import frontal_view, lateral_view, placed_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.study.subject_body import body_notes, subject_template
+from spinestiff.subject.annotated_points import image_corners, image_pedicles, image_supports, push_corners
 from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.folder import (
     check_frames,
-    image_corners,
-    image_pedicles,
-    image_supports,
-    push_corners,
     read_annotation,
     read_push,
     read_rest,

@@ -13,7 +13,8 @@ from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import OnFrame, track
-from spinestiff.subject.folder import Subject, push_corners, read_subject
+from spinestiff.subject.annotated_points import push_corners
+from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import changed_inputs, read_outcome
 from spinestiff.words import push_named, sentence

@@ -15,7 +15,8 @@ from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
-from spinestiff.subject.folder import Subject, image_corners, read_rest
+from spinestiff.subject.annotated_points import image_corners
+from spinestiff.subject.folder import Subject, read_rest
 from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, refuse_changed

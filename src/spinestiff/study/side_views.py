@@ -12,7 +12,8 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import track
 from spinestiff.personalise.pose import posed
-from spinestiff.subject.folder import Subject, image_corners, image_pedicles, read_view
+from spinestiff.subject.annotated_points import image_corners, image_pedicles
+from spinestiff.subject.folder import Subject, read_view
 from spinestiff.subject.outcome_parts import ViewRecord
 from spinestiff.subject.outcomes import MarkedPedicles, SidePicture, SideView
 from spinestiff.subject.records import PushRecord

@@ -62,17 +62,10 @@ from spinestiff.study.visit import START, Manner, Visit, load_pushes, load_start
 from spinestiff.study.wording.estimate import no_estimate
 from spinestiff.study.wording.steps import response_lines
 from spinestiff.study.written import estimate_record, geometry_record, proposal_record, rest_shape
+from spinestiff.subject.annotated_points import image_corners, image_pedicles, image_supports, push_corners
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Estimate
-from spinestiff.subject.folder import (
-    image_corners,
-    image_pedicles,
-    image_supports,
-    push_corners,
-    read_identities,
-    read_push,
-    read_rest,
-)
+from spinestiff.subject.folder import read_identities, read_push, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.marker_table import read_markers
 from spinestiff.subject.marks import check_marks

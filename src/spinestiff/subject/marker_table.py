@@ -17,7 +17,8 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import read_text, write_text
 from spinestiff.formats import parse_csv, plain_number
 from spinestiff.imaging.projection import XRayView
-from spinestiff.subject.folder import Subject, check_inside
+from spinestiff.subject.annotated_points import check_inside
+from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcomes import MarkerTracks
 from spinestiff.subject.record_reading import WANTED_MARKER
 from spinestiff.subject.records import MARKER_NAME, SUBJECT_FILE, MarkersRecord, PushRecord

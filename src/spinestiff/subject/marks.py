@@ -10,15 +10,8 @@ import numpy as np
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.subject.folder import (
-    Subject,
-    image_corners,
-    image_pedicles,
-    image_supports,
-    open_push,
-    read_rest,
-    read_view,
-)
+from spinestiff.subject.annotated_points import image_corners, image_pedicles, image_supports
+from spinestiff.subject.folder import Subject, open_push, read_rest, read_view
 from spinestiff.subject.marker_table import read_markers
 from spinestiff.subject.records import SUBJECT_FILE, PushRecord
 
@@ -29,8 +22,8 @@ def check_marks(subject: Subject) -> None:
 
     Raises
     ------
-    SubjectError : as ``folder.image_corners``, ``image_pedicles`` and ``image_supports``; radiographs of another number
-        or kind, or one that two pushes use under load; as ``marker_table.read_markers``.
+    SubjectError : as ``annotated_points.image_corners``, ``image_pedicles`` and ``image_supports``; radiographs of
+        another number or kind, or one that two pushes use under load; as ``marker_table.read_markers``.
     RadiographError : a radiograph that can't be read.
     """
     for which in subject.rest_views:

@@ -18,8 +18,9 @@ from spinestiff.personalise.pose import align_view, posed
 from spinestiff.study.draws import DRAWS_FILE, read_draws
 from spinestiff.study.trials import PushSet, known_of, rig_of
 from spinestiff.study.visit import USUAL, Manner, Visit, load_pushes, load_start, torso_on
+from spinestiff.subject.annotated_points import image_corners
 from spinestiff.subject.estimate_outcome import Estimate
-from spinestiff.subject.folder import Subject, image_corners, read_rest
+from spinestiff.subject.folder import Subject, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.records import LATERAL
 from spinestiff.subject.run_record import read_outcome, recorded_steps, refuse_changed, result_path

@@ -46,8 +46,9 @@ from spinestiff.study.wording.numbers import listed, number
 from spinestiff.study.wording.plan import TITLES, push_words, size_of, width
 from spinestiff.study.wording.sensitivity import largest, tornado_rows
 from spinestiff.study.wording.titles import ratio_title, within_a_sentence
+from spinestiff.subject.annotated_points import image_corners
 from spinestiff.subject.estimate_outcome import Estimate
-from spinestiff.subject.folder import image_corners, read_rest
+from spinestiff.subject.folder import read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.sensitivity_outcome import Sensitivity

@@ -31,7 +31,8 @@ from spinestiff.study.seven.participants import MAIN, STEPS
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import Settings, Visit, open_visit
 from spinestiff.study.wording.numbers import listed
-from spinestiff.subject.folder import image_corners, read_push, read_rest
+from spinestiff.subject.annotated_points import image_corners
+from spinestiff.subject.folder import read_push, read_rest
 from spinestiff.subject.program import program_of_numbers
 from spinestiff.subject.study_outcome import SubjectOutcome
 

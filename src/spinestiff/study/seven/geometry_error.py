@@ -31,7 +31,8 @@ from spinestiff.study.runner import ALL_STEPS, Step
 from spinestiff.study.starting_torso import left_of_shape
 from spinestiff.study.steps import personalise_step
 from spinestiff.study.visit import START, Visit
-from spinestiff.subject.folder import image_corners, read_rest
+from spinestiff.subject.annotated_points import image_corners
+from spinestiff.subject.folder import read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import nested
 from spinestiff.subject.run_record import write_outcome

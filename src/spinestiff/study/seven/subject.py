@@ -40,9 +40,10 @@ from spinestiff.study.synthetic.recipe import Recipe
 from spinestiff.study.synthetic.spines import curved_spine
 from spinestiff.study.synthetic.subject import made_by, synthesise, truth_path
 from spinestiff.study.visit import Manner, Settings, Visit, open_visit, pushes_on
+from spinestiff.subject.annotated_points import image_corners
 from spinestiff.subject.assessment_outcome import Assessment, Comparison, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
-from spinestiff.subject.folder import image_corners, read_rest
+from spinestiff.subject.folder import read_rest
 from spinestiff.subject.program import program_of_numbers
 from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.subject.run_record import read_outcome, recorded_steps
