@@ -26,7 +26,8 @@ from kept_rows import measure_once, rounded
 from spinestiff.files import read_json, write_json
 from spinestiff.study.runner import run_steps
 from spinestiff.study.synthetic.recipe import Recipe
-from spinestiff.study.synthetic.subject import ANNOTATION_SD_MM, SIDE, synthesise, truth_path
+from spinestiff.study.synthetic.subject import synthesise, truth_path
+from spinestiff.study.synthetic.visit import ANNOTATION_SD_MM, SIDE
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.outcomes import SidePicture, SideView, Tracked
 from spinestiff.subject.records import PushRecord

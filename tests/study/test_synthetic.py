@@ -38,6 +38,7 @@ from spinestiff.study.synthetic.subject import (
     synthesise,
     truth_path,
 )
+from spinestiff.study.synthetic.visit import ANNOTATION_SD_MM, misread
 from spinestiff.subject.annotated_points import image_corners, image_supports
 from spinestiff.subject.annotation_record import ImageAnnotation
 from spinestiff.subject.folder import read_push, read_rest, read_subject, read_view
@@ -178,8 +179,8 @@ def test_a_push_from_the_other_side_is_told_and_done_from_there(tmp_path, held):
 
 def test_a_gauge_misreads_what_is_told_and_nothing_else(tmp_path, held):
     recipe = replace(held, force_n=40.0)
-    for name, misread in (("right", False), ("wrong", True)):
-        synthesise(tmp_path / name, replace(recipe, misread=misread))
+    for name, wrongly in (("right", False), ("wrong", True)):
+        synthesise(tmp_path / name, replace(recipe, misread=wrongly))
     right, wrong = (digests(tmp_path / name) for name in ("right", "wrong"))
     assert {name for name in right if right[name] != wrong[name]} == {"subject.json"}
     told = read_subject(tmp_path / "wrong").push("main")
@@ -189,13 +190,13 @@ def test_a_gauge_misreads_what_is_told_and_nothing_else(tmp_path, held):
 
 def test_misread_forces_have_the_errors_of_the_priors():
     random = np.random.default_rng(0)
-    told = [synthetic.misread((0.0, 100.0, 20.0), 6.0, random) for _ in range(2000)]
+    told = [misread((0.0, 100.0, 20.0), 6.0, random) for _ in range(2000)]
     forces, levels = np.array([one[0] for one in told]), np.array([one[1] for one in told])
     assert (forces[:, 0] == 0.0).all()
     assert forces[:, 1].std() == pytest.approx(np.hypot(2.0, 1.5), rel=0.1)
     assert forces[:, 2].std() == pytest.approx(np.hypot(0.4, 1.5), rel=0.1)
     assert levels.std() == pytest.approx(0.2, rel=0.1)
-    assert synthetic.misread((0.1,), 1.0, random)[0][0] > 0.0
+    assert misread((0.1,), 1.0, random)[0][0] > 0.0
 
 
 def test_stiffening_discs_turn_less_and_less_with_force_and_are_in_the_truth(held, tmp_path):
@@ -242,7 +243,7 @@ def test_the_annotation_is_the_truth_with_a_persons_error(finished):
     clicked = image_corners(subject, "push/main", view)
     true = np.array(truth["pushes"]["main"][0]["corners_px"])[[VERTEBRAE.index(v) for v in clicked.vertebrae]]
     error = view.to_patient_plane(clicked.corners) - view.to_patient_plane(view.from_pixels(true))
-    assert error.std() == pytest.approx(synthetic.ANNOTATION_SD_MM, rel=0.3)
+    assert error.std() == pytest.approx(ANNOTATION_SD_MM, rel=0.3)
     assert abs(error.mean()) < 0.1
 
 
