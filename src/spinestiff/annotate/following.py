@@ -15,6 +15,7 @@ from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import OnFrame, track
 from spinestiff.subject.annotated_points import push_corners
 from spinestiff.subject.folder import Subject, read_subject
+from spinestiff.subject.image_names import PUSH
 from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import changed_inputs, read_outcome
 from spinestiff.words import push_named, sentence
@@ -73,7 +74,7 @@ class Follower:
             pushes = read_outcome(subject, Tracked).pushes
         except SpinestiffError:
             return Following()
-        tracked = pushes.get(image.removeprefix("push/"))
+        tracked = pushes.get(image.removeprefix(PUSH))
         if tracked is None:
             return Following()
         frames = tuple(tracked.corners(frame) for frame in range(len(tracked.frames)))
@@ -86,11 +87,11 @@ class Follower:
         ------
         SubjectError : no push, or its first frame is not complete yet.
         """
-        if not image.startswith("push/"):
+        if not image.startswith(PUSH):
             raise SubjectError(f"{image} is no push; there is nothing to track")
         frames = self.session.radiographs.frames(image)
         subject = self.session.annotated()
-        push = subject.push(image.removeprefix("push/"))
+        push = subject.push(image.removeprefix(PUSH))
         if image not in _starts(subject, image):
             lines = self.session.judge.missing(self.session.marks)
             why = next((line.removeprefix(f"{image}: ") for line in lines if line.startswith(f"{image}: ")), "no marks")

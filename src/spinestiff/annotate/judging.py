@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -21,11 +20,11 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.subject.annotation_record import (
     FEWEST_OF_VIEW,
     FEWEST_VERTEBRAE,
-    FURTHER_FRAME,
     Annotation,
     ImageAnnotation,
 )
 from spinestiff.subject.folder import Subject
+from spinestiff.subject.image_names import PushImage, frame_image
 from spinestiff.subject.marks import check_marks_in
 from spinestiff.subject.record_reading import complaint_of
 from spinestiff.subject.records import ANNOTATION_FILE, SCHEMA_VERSION, SUBJECT_FILE
@@ -129,9 +128,10 @@ class Judge:
     def _checked(self, name: str, marks: Mapping[str, DraftImage]) -> ImageAnnotation:
         """The image, checked as a fit will, beside the push's first frame if that is complete. Raises SubjectError."""
         image = marks[name].whole()
-        further = re.fullmatch(FURTHER_FRAME, name)
-        first = self._complete(further["push"], marks) if further and further["push"] in marks else None
-        beside = {further["push"]: first} if further and first else {}
+        of_push = PushImage.named(name)
+        push = frame_image(of_push.push) if of_push and of_push.later else ""
+        first = self._complete(push, marks) if push in marks else None
+        beside = {push: first} if first else {}
         subject = self.with_marks({**beside, name: image})
         # A radiograph that can't be read today doesn't make its annotation a draft.
         with suppress(RadiographError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,9 +14,9 @@ from spinestiff.imaging.dicom.tags import MissingValue
 from spinestiff.imaging.features import picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.subject.annotation_record import FURTHER_VIEW
 from spinestiff.subject.folder import Subject, check_image_name, open_push, read_rest, read_view
-from spinestiff.subject.records import LATERAL, REST_IMAGES, ScaleRecord
+from spinestiff.subject.image_names import PushImage, frame_image, rest_view
+from spinestiff.subject.records import REST_IMAGES, ScaleRecord
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
 KEPT = 3
@@ -104,8 +103,9 @@ def pictures_on_disk(folder: Path) -> Pictures:
 
 
 def image_of(name: str) -> str:
-    """The image that a name of the annotation belongs to: of a push's later frame the push."""
-    return name if name in REST_IMAGES or re.fullmatch(FURTHER_VIEW, name) else "/".join(name.split("/")[:2])
+    """The image that is read for a name of the annotation: of a push's later frame the push's."""
+    of_push = PushImage.named(name)
+    return frame_image(of_push.push) if of_push and of_push.later else name
 
 
 def upright(view: XRayView) -> bool:
@@ -126,10 +126,11 @@ def first_on(view: XRayView) -> Side:
 
 
 def _frames_of(subject: Subject, name: str) -> Sequence[Radiograph]:
-    if name in REST_IMAGES:
-        return (read_rest(subject, "lateral" if name == LATERAL else "frontal"),)
-    if re.fullmatch(FURTHER_VIEW, name):
-        frame, view = subject.view(name)
-        push = subject.push(name.split("/")[1])
-        return (read_view(subject, push, view)[view.frames.index(frame)],)
-    return open_push(subject, subject.push(name.removeprefix("push/")))
+    of_push = PushImage.named(name)
+    if of_push is None:
+        return (read_rest(subject, rest_view(name)),)
+    push = subject.push(of_push.push)
+    if of_push.view is None:
+        return open_push(subject, push)
+    frame, view = subject.view(name)
+    return (read_view(subject, push, view)[view.frames.index(frame)],)

@@ -24,8 +24,8 @@ from spinestiff.loopback.asking import Body, bare_application, sent
 from spinestiff.loopback.guard import Access, Guard, own_origins
 from spinestiff.loopback.serving import LOOPBACK, listening, run_server, shipped
 from spinestiff.subject.gaps import open_frames
-from spinestiff.subject.records import LATERAL, REST_IMAGES
-from spinestiff.words import push_named, sentence
+from spinestiff.subject.image_names import PushImage, described, rest_view
+from spinestiff.words import sentence
 
 PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -103,21 +103,19 @@ def session_record(session: AnnotationSession) -> dict[str, Any]:
     record = session.subject.record
     images: list[dict[str, Any]] = []
     for name in session.images:
-        if name in REST_IMAGES:
-            kind = "lateral" if name == LATERAL else "frontal"
-            images.append({"name": name, "title": f"Rest, {kind}", "kind": kind, "forces": [None], "roles": [None]})
+        of_push, one = PushImage.named(name), dict[str, Any]()
+        if of_push is None:
+            one = {"kind": rest_view(name), "forces": [None], "roles": [None]}
         else:
-            push = session.subject.push(name.split("/")[1])
+            push = session.subject.push(of_push.push)
             unknown = open_frames(session.subject.gaps, record.pushes.index(push))
             forces = [None if i in unknown else force for i, force in enumerate(push.forces_n)]
-            title = sentence(push_named(push.id))
             if name in session.views:
                 frame, view = session.subject.view(name)
-                title = f"{title}, frame {frame}, view {view.id}"
                 one = {"kind": view.kind, "forces": forces[frame : frame + 1], "roles": push.roles[frame : frame + 1]}
             else:
                 one = {"kind": "frontal", "forces": forces, "roles": push.roles}
-            images.append({"name": name, "title": title, **one})
+        images.append({"name": name, "title": sentence(described(name)), **one})
     marks = {name: image.model_dump(mode="json") for name, image in session.marks.items()}
     return {
         "version": __version__,

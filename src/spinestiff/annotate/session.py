@@ -28,9 +28,9 @@ from spinestiff.subject.folder import (
     read_unannotated,
     write_annotation,
 )
-from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE
+from spinestiff.subject.image_names import FRONTAL, LATERAL
+from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE
 
-FRONTAL = "rest/frontal"
 _WRITING: dict[Path, AbstractContextManager[object]] = {}
 _WRITING_LOCK = Lock()
 

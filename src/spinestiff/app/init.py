@@ -21,6 +21,7 @@ from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.imaging.radiograph import candidates
 from spinestiff.subject.gaps import PERSON, PUSH, Gap, check_open_record, gaps_of
+from spinestiff.subject.image_names import frame_image
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake import making
 from spinestiff.subject.intake.collecting import Refused, Study, by_name, chosen_studies, collect
@@ -88,10 +89,9 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     notes = making.fill(data, asked.given)
     making.name_pushes(data, sorting)
     notes += making.fill_images(data, asked.given)
-    rest = {"rest/frontal": sorting.frontal, "rest/lateral": sorting.lateral}
-    pictures = {image: [one.path] for image, one in rest.items() if one is not None}
+    pictures = {image: [one.path] for image, one in sorting.rest.items()}
     for record, push in zip(data["pushes"], sorting.pushes):
-        pictures[f"push/{record['id']}"] = [one.path for one in push.files]
+        pictures[frame_image(record["id"])] = [one.path for one in push.files]
     making.check_geometry({}, data, pictures)
     tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others))
     told, lines = making.person_of(chosen)
@@ -122,7 +122,7 @@ def _fill(folder: Path, asked: Asked) -> None:
     before = copy.deepcopy(data)
     notes = making.fill(data, asked.given) + making.fill_images(data, asked.given)
     pushes = data["pushes"]
-    places = {**REST_IMAGES, **{f"push/{push['id']}": push["frames"] for push in pushes}}
+    places = {**REST_IMAGES, **{frame_image(push["id"]): push["frames"] for push in pushes}}
     there = {image: folder / place for image, place in places.items() if (folder / place).exists()}
     pictures: dict[str, list[Path]] = {}
     for image, path in there.items():

@@ -8,7 +8,6 @@ that image unreadable, with the reason; what concerns the whole file is refused.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -24,9 +23,10 @@ from spinestiff.curves import corner_csv, corner_markups
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_exported_text, read_text, write_json, write_text
 from spinestiff.formats import parse_json, plain_number
-from spinestiff.subject.annotation_record import FURTHER_VIEW, Annotation, shares_of_size
+from spinestiff.subject.annotation_record import Annotation, shares_of_size
+from spinestiff.subject.image_names import LATERAL, PushImage
 from spinestiff.subject.record_reading import complaint_of
-from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION, SUBJECT_FILE
+from spinestiff.subject.records import ANNOTATION_FILE, SCHEMA_VERSION, SUBJECT_FILE
 from spinestiff.words import printable
 
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
@@ -342,8 +342,9 @@ def _read_annotation(path: Path, text: str) -> tuple[ImageCorners, ...]:
         raise SubjectError(f"{path}: {complaint_of(error, kind=Annotation)}") from None
     found = []
     for name, image in annotation.images.items():
+        of_push = PushImage.named(name)
         # Only subject.json tells what a radiograph from another side is; a frame may hold pedicles alone.
-        if re.fullmatch(FURTHER_VIEW, name) or not image.vertebrae:
+        if (of_push and of_push.view) or not image.vertebrae:
             continue
         quads = image.pixels()
         # All vertebrae of a readable annotation agree in both, as ``records`` checks.

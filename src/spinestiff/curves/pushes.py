@@ -17,6 +17,7 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.subject.annotated_points import image_corners
 from spinestiff.subject.folder import Subject, read_rest
+from spinestiff.subject.image_names import FRONTAL
 from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, refuse_changed
@@ -43,8 +44,8 @@ class CobbFrame:
 def rest_reading(subject: Subject, definition: Definition = "endplate", noise_px: float | None = None) -> CobbReading:
     """The Cobb angles of the annotated frontal rest image. Raises SubjectError as ``image_corners`` does."""
     rest = read_rest(subject, "frontal")
-    corners = image_corners(subject, "rest/frontal", rest.view)
-    return reading_of("rest/frontal", corners, rest.view, definition, noise_px)
+    corners = image_corners(subject, FRONTAL, rest.view)
+    return reading_of(FRONTAL, corners, rest.view, definition, noise_px)
 
 
 def cobb_frames(
@@ -127,7 +128,7 @@ def push_responses(subject: Subject, gauge: GaugeError | None = None, noise_px: 
     gauge = gauge or gauge_of(subject.record)
     tracked = read_outcome(subject, Tracked).pushes
     at_rest = read_rest(subject, "frontal").view
-    corners = image_corners(subject, "rest/frontal", at_rest)
+    corners = image_corners(subject, FRONTAL, at_rest)
     rest = tilts(corners.vertebrae, corners.corners, at_rest)
     pushes = {}
     for name, found in tracked.items():

@@ -24,6 +24,7 @@ from spinestiff.study.draws import DRAWS_FILE
 from spinestiff.study.starting_torso import SCAN_PICTURE, left_of_shape
 from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE, RESPONSE_FILE
 from spinestiff.study.visit import START, Visit
+from spinestiff.subject.image_names import rest_image
 from spinestiff.subject.program import program, program_of_numbers
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.subject.run_record import (
@@ -96,7 +97,7 @@ class Step:
         names = [*self.parts, *(f"{RESULTS}/{name}" for name in self.results)]
         for step in self.also:
             names += recorded_steps(subject)[step].outputs if is_unchanged(subject, step) else ()
-        paths = [subject.image_path(f"rest/{view}") for view in subject.rest_views if "rest" in self.images]
+        paths = [subject.image_path(rest_image(view)) for view in subject.rest_views if "rest" in self.images]
         if "push" in self.images:
             paths += [subject.image_path(push.image) for push in subject.pushes]
             paths += [subject.folder / view.files for push in subject.pushes for view in push.views]

@@ -67,6 +67,7 @@ from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_identities, read_push, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
+from spinestiff.subject.image_names import rest_image
 from spinestiff.subject.marker_table import read_markers
 from spinestiff.subject.marks import check_marks
 from spinestiff.subject.outcomes import FrameProposals, Tracked, TrackedPush
@@ -149,8 +150,8 @@ def personalise_step(visit: Visit, say: Observer) -> None:
     provenance: dict[str, dict[str, str]] = {}
     for name in subject.rest_views:
         picture = read_rest(subject, name)
-        pictures[name] = (image_corners(subject, f"rest/{name}", picture.view), picture.view)
-        marked = PediclePoints(*image_pedicles(subject, f"rest/{name}", picture.view))
+        pictures[name] = (image_corners(subject, rest_image(name), picture.view), picture.view)
+        marked = PediclePoints(*image_pedicles(subject, rest_image(name), picture.view))
         if marked.vertebrae:
             pedicles[name] = marked
         provenance[name] = dict(picture.provenance)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -12,6 +11,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.imaging.planar import cross
 from spinestiff.imaging.spine_shape import CLEARLY, across, quarter_turns
+from spinestiff.subject.image_names import PUSH, PushImage, frame_image
 from spinestiff.subject.record_reading import Record, shown_key
 from spinestiff.subject.records import Pair, Point, VertebraName
 from spinestiff.words import counted
@@ -21,10 +21,6 @@ LARGEST_SHARE = 2.0
 FEWEST_VERTEBRAE = 8
 MOST_TURNED_DEG = 45.0
 """Of a vertebra between two frames of a push: half of what corners begun at the wrong one make of it."""
-FURTHER_FRAME = r"(?P<push>push/[^/]+)/(?P<frame>[1-9][0-9]{0,3})"
-"""Name of an annotated frame of a push after its first, which is push/<id>."""
-FURTHER_VIEW = r"(?P<push>push/[^/]+)/(?P<frame>0|[1-9][0-9]{0,3})/(?P<view>[^/]+)"
-"""Name of a radiograph of a push's frame from another side."""
 FEWEST_OF_VIEW = 3
 Quad = Annotated[tuple[Point, Point, Point, Point], Field(strict=False)]
 
@@ -74,8 +70,7 @@ class Annotation(Record):
     Attributes
     ----------
     schema_version : 1.
-    images : by name: "rest/frontal", "rest/lateral", "push/<id>" (frame 0), "push/<id>/<frame>", and, from other
-        sides, "push/<id>/<frame>/<view>".
+    images : by name (``image_names``).
     """
 
     schema_version: Literal[1]
@@ -85,27 +80,23 @@ class Annotation(Record):
     @classmethod
     def _points_are_where_they_serve(cls, images: dict[str, ImageAnnotation]) -> dict[str, ImageAnnotation]:
         for name, image in images.items():
-            further, aside = re.fullmatch(FURTHER_FRAME, name), re.fullmatch(FURTHER_VIEW, name)
-            fewest = FEWEST_OF_VIEW if aside else FEWEST_VERTEBRAE if further is None else 0
+            of_push = PushImage.named(name)
+            aside, later = bool(of_push and of_push.view), bool(of_push and of_push.later)
+            first = frame_image(of_push.push) if of_push else ""
+            fewest = FEWEST_OF_VIEW if aside else 0 if later else FEWEST_VERTEBRAE
             if len(image.vertebrae) < fewest:
                 raise ValueError(
                     f"{shown_key(name)}.vertebrae: found {counted(len(image.vertebrae), 'vertebra', 'vertebrae')}, "
                     f"wanted at least {fewest}"
                 )
-            if aside is not None and image.supports:
-                raise ValueError(
-                    f"{shown_key(name)} has supports; wanted them in the push's first frame, {aside['push']}"
-                )
-            if further is not None and image.supports:
-                raise ValueError(
-                    f"{shown_key(name)} has supports; wanted them in the push's first frame, {further['push']}"
-                )
-            if image.supports and not name.startswith("push/"):
+            if image.supports and (aside or later):
+                raise ValueError(f"{shown_key(name)} has supports; wanted them in the push's first frame, {first}")
+            if image.supports and not name.startswith(PUSH):
                 raise ValueError(
                     f"{shown_key(name)} has supports; wanted them in push images only, where they can move"
                 )
-            if further is not None and further["push"] in images:
-                _check_turned(name, image, images[further["push"]])
+            if later and first in images:
+                _check_turned(name, image, images[first])
         return images
 
 

@@ -7,7 +7,6 @@ rest (``check_frames``, ``annotated_points.image_corners``). Each refusal is one
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,12 +17,12 @@ from spinestiff.files import no_folder, regular_file, regular_files, trouble, wr
 from spinestiff.imaging.dicom.files import MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import view_kind
 from spinestiff.mechanics.loads import USUAL_LIMIT_N
-from spinestiff.subject.annotation_record import FURTHER_FRAME, FURTHER_VIEW, Annotation
+from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.gaps import Gap, open_frames, read_open_record
+from spinestiff.subject.image_names import LATERAL, PushImage, frame_image, rest_image
 from spinestiff.subject.record_reading import read_record, shown_key
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
-    LATERAL,
     REST_IMAGES,
     RESULTS,
     SCHEMA_VERSION,
@@ -83,10 +82,10 @@ class Subject:
         """File (or folder of frames) of an image by its name in the annotation."""
         if image in REST_IMAGES:
             return self.folder / REST_IMAGES[image]
-        aside = re.fullmatch(FURTHER_VIEW, image)
-        if aside is not None:
+        of_push = PushImage.named(image)
+        if of_push is None or of_push.view:
             return self.folder / self.view(image)[1].files
-        return self.folder / self.push(image.split("/")[1]).frames
+        return self.folder / self.push(of_push.push).frames
 
     def view(self, image: str) -> tuple[int, FurtherViewRecord]:
         """Frame and record of a radiograph from another side, by its name in the annotation.
@@ -95,12 +94,11 @@ class Subject:
         ------
         SubjectError : no such radiograph of this subject.
         """
-        named = re.fullmatch(FURTHER_VIEW, image)
-        ids = {push.image for push in self.pushes}
-        if named is not None and named["push"] in ids:
-            for view in self.push(named["push"].removeprefix("push/")).views:
-                if view.id == named["view"] and int(named["frame"]) in view.frames:
-                    return int(named["frame"]), view
+        for push in self.pushes:
+            for view in push.views:
+                for frame in view.frames:
+                    if push.view_image(frame, view.id) == image:
+                        return frame, view
         raise SubjectError(
             f"{self.folder / ANNOTATION_FILE}: images.{shown_key(image)}: no such view of this frame in {SUBJECT_FILE}"
         )
@@ -225,8 +223,8 @@ def read_rest(subject: Subject, which: Literal["frontal", "lateral"]) -> Radiogr
     SubjectError : the file holds more than one frame.
     RadiographError : see ``read_radiographs``.
     """
-    path = subject.image_path(f"rest/{which}")
-    frames = _read_images(subject, f"rest/{which}", which)
+    path = subject.image_path(rest_image(which))
+    frames = _read_images(subject, rest_image(which), which)
     if len(frames) != 1:
         raise SubjectError(f"{path}: found {len(frames)} frames, wanted one rest radiograph")
     return frames[0]
@@ -353,12 +351,12 @@ def check_image_name(subject: Subject, name: str, file: str = "") -> None:
     file : that has the image, for the message; the annotation if left out.
     """
     path, needed = file or subject.folder / ANNOTATION_FILE, annotatable(subject.record)
-    found = re.fullmatch(FURTHER_FRAME, name)
-    if found is not None and found["push"] in needed:
-        count = len(subject.push(found["push"].removeprefix("push/")).forces_n)
-        if int(found["frame"]) >= count:
+    found = PushImage.named(name)
+    if found and found.later and frame_image(found.push) in needed:
+        count = len(subject.push(found.push).forces_n)
+        if found.frame >= count:
             raise SubjectError(f"{path}: images.{name}: the push has {counted(count, 'frame')}, counted from 0")
-    elif re.fullmatch(FURTHER_VIEW, name):
+    elif found and found.view:
         subject.view(name)
     elif name not in needed:
         raise SubjectError(

@@ -21,14 +21,10 @@ from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import Subject, check_image_name, odd_forces
 from spinestiff.subject.gaps import open_frames, read_open_record
 from spinestiff.subject.geometry import image_geometry
+from spinestiff.subject.image_names import LATERAL
 from spinestiff.subject.marks import check_marks_in, frame_names
 from spinestiff.subject.record_reading import read_record
-from spinestiff.subject.records import (
-    ANNOTATION_FILE,
-    LATERAL,
-    REST_IMAGES,
-    SUBJECT_FILE,
-)
+from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SUBJECT_FILE
 from spinestiff.words import counted
 
 SPINE_MM = 100.0

@@ -12,6 +12,7 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.subject.annotated_points import image_corners, image_pedicles, image_supports
 from spinestiff.subject.folder import Subject, open_push, read_rest, read_view
+from spinestiff.subject.image_names import rest_image
 from spinestiff.subject.marker_table import read_markers
 from spinestiff.subject.records import SUBJECT_FILE, PushRecord
 
@@ -27,7 +28,7 @@ def check_marks(subject: Subject) -> None:
     RadiographError : a radiograph that can't be read.
     """
     for which in subject.rest_views:
-        check_marks_in(subject, (f"rest/{which}",), read_rest(subject, which).view)
+        check_marks_in(subject, (rest_image(which),), read_rest(subject, which).view)
     seen: dict[str, tuple[str, str]] = {}
     for push in subject.pushes:
         frames = open_push(subject, push)

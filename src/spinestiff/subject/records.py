@@ -17,6 +17,7 @@ from spinestiff.anatomy.regions import check_parameters
 from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.dicom.millimetres import PIXEL_MM, SOURCE_MM
 from spinestiff.mechanics.loads import PUSH_DIRECTION
+from spinestiff.subject.image_names import FRONTAL, LATERAL, frame_image, view_image
 from spinestiff.subject.record_reading import IDENTIFIER, WANTED_MARKER, Record, shown_value
 from spinestiff.words import counted
 
@@ -25,8 +26,8 @@ SUBJECT_FILE = "subject.json"
 ANNOTATION_FILE = "annotation.json"
 RESULTS = "results"
 """Folder of what is made from the others."""
-REST_IMAGES = {"rest/frontal": "rest/frontal.dcm", "rest/lateral": "rest/lateral.dcm"}
-LATERAL = "rest/lateral"
+REST_IMAGES = {FRONTAL: "rest/frontal.dcm", LATERAL: "rest/lateral.dcm"}
+"""Their files, by their names in the annotation."""
 GAUGE_LIMIT_N = 500.0
 """What the force gauge of the set-up measures accurately (paper 2.1)."""
 USUAL_FORCES_N = (15.0, 150.0)
@@ -307,7 +308,7 @@ class PushRecord(Record):
     @property
     def image(self) -> str:
         """Name of the push's first frame in the annotation."""
-        return f"push/{self.id}"
+        return frame_image(self.id)
 
     @property
     def geometry_images(self) -> tuple[str, ...]:
@@ -316,12 +317,12 @@ class PushRecord(Record):
         return self.image, *(self.view_image(view.frames[0], view.id) for view in self.views)
 
     def frame_image(self, frame: int) -> str:
-        """Name of a frame (0-based) in the annotation: push/<id> for the first, push/<id>/<frame> for others."""
-        return self.image if frame == 0 else f"{self.image}/{frame}"
+        """Name of a frame (0-based) in the annotation."""
+        return frame_image(self.id, frame)
 
     def view_image(self, frame: int, view: str) -> str:
         """Name of a frame's radiograph from another side in the annotation."""
-        return f"{self.image}/{frame}/{view}"
+        return view_image(self.id, frame, view)
 
     def least_of(self, view: FurtherViewRecord, unknown: Collection[int] = ()) -> int | None:
         """The first of a view's frames with the least force among them: it has to be marked by hand.

@@ -18,6 +18,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import file_digest, read_text, trouble, write_json
 from spinestiff.formats import json_text, parse_json
 from spinestiff.subject.folder import Subject
+from spinestiff.subject.image_names import PUSH, REST
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 from spinestiff.subject.program import program, program_of_numbers
 from spinestiff.subject.record_reading import complaint_of
@@ -104,8 +105,8 @@ PARTS: Mapping[str, Callable[[Subject], object]] = {
     # In the body, too; records of earlier versions have it apart.
     f"{SUBJECT_FILE}: person": lambda s: s.record.model_dump(mode="json", include=_PERSON),
     f"{SUBJECT_FILE}: supports": lambda s: s.record.model_dump(mode="json", include=_SUPPORTS),
-    f"{ANNOTATION_FILE}: rest": lambda s: _images(s, "rest/"),
-    f"{ANNOTATION_FILE}: pushes": lambda s: _images(s, "push/"),
+    f"{ANNOTATION_FILE}: rest": lambda s: _images(s, REST),
+    f"{ANNOTATION_FILE}: pushes": lambda s: _images(s, PUSH),
 }
 """What of the two files a step may depend on, by name."""
 

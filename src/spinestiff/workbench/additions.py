@@ -11,6 +11,7 @@ from spinestiff.anatomy.axes import body_axes
 from spinestiff.anatomy.importing.reading import SUFFIXES
 from spinestiff.errors import SubjectError
 from spinestiff.personalise.scan import read_scan
+from spinestiff.subject.image_names import view_image
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake.adding import (
     Addition,
@@ -77,7 +78,7 @@ def _shown_as(standing: Standing, image: str) -> str:
         return image
     push = next(one for one in standing.data["pushes"] if one["id"] == parts[1])
     frames = next(view["frames"] for view in push["views"] if view["id"] == parts[2])
-    return f"push/{parts[1]}/{frames[0]}/{parts[2]}"
+    return view_image(parts[1], frames[0], parts[2])
 
 
 def looked_at_beside(standing: Standing, export: Export, wish: Wish) -> dict[str, Any]:

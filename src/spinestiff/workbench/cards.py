@@ -18,8 +18,9 @@ from spinestiff.study.wording.titles import stiffness_title
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, annotatable, annotatable_views, read_annotation, read_unannotated
 from spinestiff.subject.gaps import Gap
+from spinestiff.subject.image_names import LATERAL, described
 from spinestiff.subject.outcomes import Responses
-from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SUBJECT_FILE
+from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SUBJECT_FILE
 from spinestiff.subject.run_record import changed_lately, read_outcome, recorded_steps
 from spinestiff.words import push_named, sentence
 from spinestiff.workbench.job_table import Job
@@ -99,8 +100,8 @@ def _stage(subject: Subject) -> tuple[str, list[str]]:
     absent = [name for name in wanted if not os.path.lexists(subject.image_path(name))]
     unmarked, problem = _unmarked(subject)
     missing = [gap_words(subject, gap) for gap in subject.gaps]
-    missing += [f"{title_of(name)}: no radiograph" for name in absent]
-    missing += [f"{title_of(name)}: not annotated" for name in unmarked if name not in absent]
+    missing += [f"{sentence(described(name))}: no radiograph" for name in absent]
+    missing += [f"{sentence(described(name))}: not annotated" for name in unmarked if name not in absent]
     missing += problem
     training = any(push.frames_of("training") for push in subject.pushes)
     if not subject.gaps and not training:
@@ -195,14 +196,6 @@ def gap_words(subject: Subject, gap: Gap) -> str:
     if gap.frames:
         frames = f", frame {gap.frames[0]}" + (f" to {gap.frames[-1]}" if len(gap.frames) > 1 else "")
     return f"{sentence(push_named(subject.pushes[gap.push].id))}{frames}: {words}"
-
-
-def title_of(image: str) -> str:
-    """An image in words."""
-    kind, name, *of_view = image.split("/")
-    if kind == "rest":
-        return f"Rest, {name}"
-    return ", ".join([sentence(push_named(name)), *(f"{what} {one}" for what, one in zip(("frame", "view"), of_view))])
 
 
 def _one_line(error: Exception, folder: Path) -> str:

@@ -18,6 +18,7 @@ from spinestiff.files import read_json, read_text, write_json
 from spinestiff.study.trials import given_priors, usual_priors
 from spinestiff.subject.folder import read_annotation
 from spinestiff.subject.gaps import Gap, check_open_record, gaps_of, open_complaints
+from spinestiff.subject.image_names import view_image
 from spinestiff.subject.intake.adding import is_place, is_scan_place, markers_place, side_places
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE, SubjectRecord
@@ -179,7 +180,7 @@ def _lies_in(folder: Path, place: str, allowed: tuple[str, ...]) -> bool:
 def _views(values: dict[str, Any]) -> set[str]:
     """Names in the annotation of all radiographs from other sides, of a file that may be wrong."""
     return {
-        f"push/{push.get('id')}/{frame}/{view.get('id')}"
+        view_image(push.get("id", ""), frame, view.get("id", ""))
         for push in _records(values, "pushes")
         for view in _records(push, "views")
         for frame in (view["frames"] if isinstance(view.get("frames"), list) else ())

@@ -16,6 +16,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import read_text, write_json, write_text
 from spinestiff.formats import parse_json
 from spinestiff.subject.gaps import check_open_record
+from spinestiff.subject.image_names import frame_image
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE
 
 FILES = (SUBJECT_FILE, ANNOTATION_FILE, DRAFT_FILE)
@@ -141,4 +142,5 @@ def marked_images(contents: Contents, push: str) -> tuple[str, ...]:
     subject, annotation, draft = (contents[name] for name in FILES)
     of_xray = [image for key in XRAY_KEYS for image in _of_xray(subject, key)]
     found = dict.fromkeys((*_images(annotation), *_images(draft), *of_xray))
-    return tuple(name for name in found if name == f"push/{push}" or name.startswith(f"push/{push}/"))
+    own = frame_image(push)
+    return tuple(name for name in found if name == own or name.startswith(f"{own}/"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import secrets
 import shutil
 import threading
@@ -24,6 +23,7 @@ from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.radiograph import read_scans
 from spinestiff.loopback.asking import sendable
 from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated
+from spinestiff.subject.image_names import PushImage, frame_image, view_image
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.record_reading import Record
 from spinestiff.subject.records import (
@@ -152,10 +152,9 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
     subject = read_unannotated(folder)
     key, values = random_key(), read_json(folder / SUBJECT_FILE)
     content: dict[str, bytes] = {}
-    images = {image: subject.folder / f"{image}.dcm" for image in REST_IMAGES}
-    for image, path in images.items():
-        if path.exists():
-            content[f"{image}.dcm"] = _freed(path, folder, key, burned_in_ok, image)
+    for image, file in REST_IMAGES.items():
+        if (subject.folder / file).exists():
+            content[file] = _freed(subject.folder / file, folder, key, burned_in_ok, image)
     left_out, names = set(), {}
     pushes: list[dict[str, Any]] = []
     for number, push in enumerate(values["pushes"], 1):
@@ -234,13 +233,13 @@ def _renamed(images: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, A
 def _new_name(image: str, names: Mapping[str, str]) -> str | None:
     if image in REST_IMAGES:
         return image
-    found = re.fullmatch(r"push/([^/]+)(?:/([0-9]+)(?:/([^/]+))?)?", image)
-    if found is None:
+    found = PushImage.named(image)
+    if found is None or (push := names.get(found.push)) is None:
         return None
-    push, frame, view = found.groups()
-    new = [names.get(push), *([frame] if frame else []), *([names.get(f"{push}/{view}")] if view else [])]
-    known = [part for part in new if part is not None]
-    return "/".join(("push", *known)) if len(known) == len(new) else None
+    if found.view is None:
+        return frame_image(push, found.frame)
+    view = names.get(f"{found.push}/{found.view}")
+    return None if view is None else view_image(push, found.frame, view)
 
 
 def _zipped(place: Path, content: Sequence[tuple[str, bytes | Path]]) -> Path:

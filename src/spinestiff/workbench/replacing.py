@@ -16,6 +16,7 @@ from spinestiff.annotate.session import writing
 from spinestiff.errors import SubjectError
 from spinestiff.files import copy_known, trouble
 from spinestiff.imaging.dicom.export import Exported
+from spinestiff.subject.image_names import described, rest_view
 from spinestiff.subject.intake.adding import Standing, check_patient
 from spinestiff.subject.intake.collecting import studies
 from spinestiff.subject.intake.pictures import Album
@@ -74,7 +75,7 @@ def choose(standing: Standing, found: Sequence[Exported], image: str, named: Exp
 
 def _unfit(one: Exported, image: str, present: Album) -> str:
     """Why a radiograph can't take the place of one at rest; "" where it can."""
-    wanted = image.rpartition("/")[2]
+    wanted = rest_view(image)
     if (twin := present.same(one)) is not None:
         return f"the same image as {twin.name}, which is to be replaced"
     if one.frames > 1:
@@ -91,8 +92,7 @@ def looked_at_instead(standing: Standing, export: Export, wish: Wish, image: str
         return {**look_record(export), "study": None, "changes": []}
     chosen = export.study(wish)
     choice = _chosen(standing, export, wish, image)
-    kind = image.rpartition("/")[2]
-    uses = {} if choice.one is None else {choice.one.name: f"rest, {kind}"}
+    uses = {} if choice.one is None else {choice.one.name: described(image)}
     record = look_record(export, chosen, uses, choice.reasons)
     changes = [] if choice.one is None else _entails(standing.folder, image)
     label = wish.study or (groups[0].label if groups else None)
@@ -101,7 +101,7 @@ def looked_at_instead(standing: Standing, export: Export, wish: Wish, image: str
 
 def _entails(folder: Path, image: str) -> list[str]:
     """What the exchange of a rest radiograph does to the rest of the subject, a line each."""
-    marks, kind = marks_of(folder, image), image.rpartition("/")[2]
+    marks, kind = marks_of(folder, image), rest_view(image)
     lines = [f"{REST_IMAGES[image]} moves to the trash, from where it can be put back."]
     if marks.annotation is not None or marks.draft is not None:
         vertebrae = counted(marks.vertebrae, "marked vertebra", "marked vertebrae")

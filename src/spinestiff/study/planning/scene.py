@@ -22,7 +22,7 @@ from spinestiff.subject.annotated_points import image_corners
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
-from spinestiff.subject.records import LATERAL
+from spinestiff.subject.image_names import FRONTAL, LATERAL
 from spinestiff.subject.run_record import read_outcome, recorded_steps, refuse_changed, result_path
 
 # Lateral bending and tissue: the geometric mean of Table 4, and half a decade or so around it either way.
@@ -119,7 +119,7 @@ def _of_population(visit: Visit) -> Scene:
     known = known_of(subject.record, read_outcome(subject, GeometryRecord).matrix, visit.population)
     torso = torso_on(visit, "coarse")
     picture = read_rest(subject, "frontal")
-    corners = image_corners(subject, "rest/frontal", picture.view)
+    corners = image_corners(subject, FRONTAL, picture.view)
     view, _ = align_view(torso, torso.rest_pose, picture.view, corners)
     return Scene(
         torso,

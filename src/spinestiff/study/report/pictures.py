@@ -50,6 +50,7 @@ from spinestiff.subject.annotated_points import image_corners
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
+from spinestiff.subject.image_names import rest_image
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.sensitivity_outcome import Sensitivity
 from spinestiff.words import counted
@@ -89,7 +90,7 @@ def frame_picture(visit: Visit, predictions: Predictions, prediction: Prediction
 def rest_picture(visit: Visit, torso: TorsoModel, name: str, geometry: GeometryRecord) -> Drawn:
     """A rest radiograph with the fitted geometry."""
     picture = read_rest(visit.subject, name)  # type: ignore[arg-type]
-    corners = image_corners(visit.subject, f"rest/{name}", picture.view)
+    corners = image_corners(visit.subject, rest_image(name), picture.view)
     view = geometry.views[name].view()
     seen = state_features(torso, view, torso.rest_pose).z[vertebra_rows(torso, corners)]
     error = geometry.rmse_mm[name]

@@ -33,6 +33,7 @@ from spinestiff.study.visit import Settings, Visit, open_visit
 from spinestiff.study.wording.numbers import listed
 from spinestiff.subject.annotated_points import image_corners
 from spinestiff.subject.folder import read_push, read_rest
+from spinestiff.subject.image_names import FRONTAL
 from spinestiff.subject.program import program_of_numbers
 from spinestiff.subject.study_outcome import SubjectOutcome
 
@@ -127,7 +128,7 @@ def _shots(visit: Visit) -> tuple[list[Shot], list[Shot]]:
 
 def _at_rest(visit: Visit, torso: TorsoModel) -> Shot:
     picture = read_rest(visit.subject, "frontal")
-    corners = image_corners(visit.subject, "rest/frontal", picture.view)
+    corners = image_corners(visit.subject, FRONTAL, picture.view)
     view, pose = align_view(torso, torso.rest_pose, picture.view, corners)
     made = state_features(torso, view, torso.rest_pose).z[vertebra_rows(torso, corners)]
     seen = target_features(torso, view, corners)

@@ -34,6 +34,7 @@ from spinestiff.study.visit import START, Visit
 from spinestiff.subject.annotated_points import image_corners
 from spinestiff.subject.folder import read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
+from spinestiff.subject.image_names import rest_image
 from spinestiff.subject.outcome_parts import nested
 from spinestiff.subject.run_record import write_outcome
 
@@ -125,7 +126,7 @@ def off_step(error: GeometryError, visit: Visit, say: Observer) -> None:
     pictures = {}
     for which in visit.subject.rest_views:
         view = read_rest(visit.subject, which).view
-        pictures[str(which)] = (view, image_corners(visit.subject, f"rest/{which}", view))
+        pictures[str(which)] = (view, image_corners(visit.subject, rest_image(which), view))
     size = size_of_error(lambda found: rest_rmse(torso, *pictures["frontal"], found * unit), error.rmse_mm)
     views = {name: rest_rmse(torso, *picture, size * unit) for name, picture in pictures.items()}
     say(f"geometry error of {size:.2f} mm: RMSE {views['frontal']:.2f} mm in the frontal radiograph")

@@ -44,6 +44,7 @@ from spinestiff.subject.annotated_points import image_corners
 from spinestiff.subject.assessment_outcome import Assessment, Comparison, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_rest
+from spinestiff.subject.image_names import FRONTAL
 from spinestiff.subject.program import program_of_numbers
 from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.subject.run_record import read_outcome, recorded_steps
@@ -265,7 +266,7 @@ def _rest_cobb(visit: Visit) -> tuple[float, float]:
     """The signed Cobb angle of the frontal rest radiograph, and that of the torso at rest in it, degrees."""
     torso = visit.torso()
     picture = read_rest(visit.subject, "frontal")
-    corners = image_corners(visit.subject, "rest/frontal", picture.view)
+    corners = image_corners(visit.subject, FRONTAL, picture.view)
     rows = [torso.vertebrae.index(name) for name in corners.vertebrae]
     model = state_features(torso, picture.view, torso.rest_pose).corners[rows]
     seen, made = (tilts(corners.vertebrae, found, picture.view) for found in (corners.corners, model))

@@ -37,6 +37,7 @@ from spinestiff.study.synthetic.markers import spread_markers, view_of_markers
 from spinestiff.study.synthetic.recipe import Recipe, SyntheticPush
 from spinestiff.subject.annotation_record import FEWEST_OF_VIEW, FEWEST_VERTEBRAE, Annotation, ImageAnnotation
 from spinestiff.subject.folder import write_annotation, write_subject
+from spinestiff.subject.image_names import frame_image, rest_image
 from spinestiff.subject.marker_table import write_markers
 from spinestiff.subject.record_reading import parse_record
 from spinestiff.subject.records import LEVELS, PushRecord, SubjectRecord
@@ -91,7 +92,7 @@ class VisitInMaking:
             ("lateral", self._nominal(lateral_view), ("A", "F"), lateral),
         ):
             view, seed = self._standing(nominal), self._drawn_seed()
-            self.images[f"rest/{name}"] = self._annotation(view)
+            self.images[rest_image(name)] = self._annotation(view)
             taken.append((name, view, orientation, how, seed))
 
         def radiograph(
@@ -111,7 +112,7 @@ class VisitInMaking:
         pixels = self._radiographs(states, view, self.recipe.acquisition, self._drawn_seed(), gauge)
         path = self.folder / "pushes" / f"{push.id}.dcm"
         self._write(path, pixels, view, ("L", "F"), f"push {push.id}")
-        self.images[f"push/{push.id}"] = self._annotation(view, held_against=self.side_of(push))
+        self.images[frame_image(push.id)] = self._annotation(view, held_against=self.side_of(push))
         if self.recipe.biplanar:
             self._seen_aside(push, states, view)
         if self.recipe.markers:

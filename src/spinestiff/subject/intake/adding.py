@@ -25,6 +25,7 @@ from spinestiff.imaging.dicom.export import Exported, read_exported
 from spinestiff.imaging.dicom.identity import read_identity
 from spinestiff.subject.folder import MOST_INPUT_BYTES
 from spinestiff.subject.gaps import PUSH, check_open_record
+from spinestiff.subject.image_names import FRONTAL, LATERAL, frame_image
 from spinestiff.subject.intake.making import Given, copy_frames, copy_radiographs, fill, name_pushes, push_data
 from spinestiff.subject.intake.pictures import Album
 from spinestiff.subject.intake.push_table import TablePush, TableRow, pushes_of
@@ -51,7 +52,7 @@ class Standing:
     ----------
     folder : of it. data : ``subject.json``, complete or not. digest : of that file.
     files : its radiographs, those that can be read, each by its name in the folder, in the order of ``image``.
-    images : what each of them belongs to, by name: "rest/frontal", "rest/lateral", "push/<id>" or "push/<id>/<view>".
+    images : what each of them belongs to, by name; a further view is push/<id>/<view> here.
     """
 
     folder: Path
@@ -112,9 +113,9 @@ def inputs_of(folder: Path) -> list[Path]:
 def _places(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield from REST_IMAGES.items()
     for push in data["pushes"]:
-        yield f"push/{push['id']}", push["frames"]
+        yield frame_image(push["id"]), push["frames"]
         for view in push.get("views", ()):
-            yield f"push/{push['id']}/{view['id']}", view["files"]
+            yield f"{frame_image(push['id'])}/{view['id']}", view["files"]
 
 
 def _inside(place: Path, folder: Path) -> Iterable[Path]:
@@ -151,7 +152,7 @@ def sort_addition(
     fresh = [one for one in found if one.name not in held]
     # A copy of what is there may name another patient, or none.
     check_patient(standing.files, fresh)
-    for image, named in (("rest/frontal", frontal), ("rest/lateral", lateral)):
+    for image, named in ((FRONTAL, frontal), (LATERAL, lateral)):
         if named is not None and (standing.has(image) or named.name in held):
             raise SubjectError(
                 f"{named.name}: the subject has {REST_IMAGES[image]} already, and nothing is overwritten"
@@ -174,13 +175,11 @@ def sort_addition(
     reasons = dict(sorting.reasons) | {
         one.name: f"the same image as {held[one.name]}, which the subject has" for one in found if one.name in held
     }
-    rest = {"rest/frontal": sorting.frontal, "rest/lateral": sorting.lateral}
-    for image, one in rest.items():
-        if one is not None and standing.has(image):
-            reasons[one.name] = f"the subject has {REST_IMAGES[image]} already, and nothing is overwritten"
-            rest[image] = None
+    rest = sorting.rest
+    for image in [image for image in rest if standing.has(image)]:
+        reasons[rest.pop(image).name] = f"the subject has {REST_IMAGES[image]} already, and nothing is overwritten"
     pushes = tuple(push for push in sorting.pushes if push.files[0].path not in numbers)
-    return Addition(Sorting(rest["rest/frontal"], rest["rest/lateral"], pushes, reasons), held, fills)
+    return Addition(Sorting(rest.get(FRONTAL), rest.get(LATERAL), pushes, reasons), held, fills)
 
 
 def check_patient(own: Sequence[Exported], found: Sequence[Exported], pseudonyms: bool = True) -> None:
@@ -210,7 +209,7 @@ def _number_of(standing: Standing, push: TablePush) -> int | None:
     if not mine:
         return None
     for number, record in enumerate(standing.data["pushes"]):
-        whole = {path for path, image in images.items() if image == f"push/{record['id']}"}
+        whole = {path for path, image in images.items() if image == frame_image(record["id"])}
         if mine & whole:
             if mine == whole and len(mine) == len(push.files):
                 return number

@@ -19,9 +19,10 @@ from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.reading import check_given
 from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
 from spinestiff.subject.geometry import geometry_without_scale
+from spinestiff.subject.image_names import LATERAL, frame_image, view_image
 from spinestiff.subject.intake.sorting import PushFiles, Sorting
 from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID, parse_record
-from spinestiff.subject.records import LATERAL, REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, SubjectRecord, XRayRecord
+from spinestiff.subject.records import REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, SubjectRecord, XRayRecord
 from spinestiff.words import push_named
 
 LOG_AGAIN = f"to read a force log again, write null for each of the push's forces_n in {SUBJECT_FILE}"
@@ -120,8 +121,8 @@ def name_pushes(data: dict[str, Any], sorting: Sorting, taken: Iterable[str] = (
 def _rename_geometry(data: dict[str, Any], before: str | None, name: str) -> None:
     """A push's X-ray geometry of its own stays with it under another name."""
     images = data.get("xray", {}).get("images") or {}
-    if before != name and f"push/{before}" in images:
-        images[f"push/{name}"] = images.pop(f"push/{before}")
+    if before is not None and before != name and frame_image(before) in images:
+        images[frame_image(name)] = images.pop(frame_image(before))
 
 
 def fill(data: dict[str, Any], given: Given) -> list[str]:
@@ -220,7 +221,7 @@ def _put(there: dict[str, Any], key: str, value: Any) -> Any:
 def _geometry_images(push: Mapping[str, Any]) -> list[str]:
     """As ``PushRecord.geometry_images``, of a push with gaps."""
     views = push.get("views") or ()
-    return [f"push/{push['id']}", *(f"push/{push['id']}/{view['frames'][0]}/{view['id']}" for view in views)]
+    return [frame_image(push["id"]), *(view_image(push["id"], view["frames"][0], view["id"]) for view in views)]
 
 
 def check_place(out: Path, sources: Sequence[Path]) -> None:
@@ -255,10 +256,9 @@ def copy_radiographs(folder: Path, data: Mapping[str, Any], sorting: Sorting) ->
     the folder: files, and folders of single frames. Raises SubjectError for a file that can't be read or written.
     """
     places = []
-    for image, one in (("rest/frontal", sorting.frontal), ("rest/lateral", sorting.lateral)):
-        if one is not None:
-            copy_file(one, folder / REST_IMAGES[image])
-            places.append(REST_IMAGES[image])
+    for image, one in sorting.rest.items():
+        copy_file(one, folder / REST_IMAGES[image])
+        places.append(REST_IMAGES[image])
     for push, record in zip(sorting.pushes, data["pushes"][len(data["pushes"]) - len(sorting.pushes) :]):
         copy_frames(push.files, folder / record["frames"])
         places.append(record["frames"])

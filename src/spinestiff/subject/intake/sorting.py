@@ -14,6 +14,7 @@ from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.dicom.export import SERIES_WORDS, Exported
 from spinestiff.imaging.dicom.ordering import times_told
 from spinestiff.imaging.radiograph import in_order, times_of
+from spinestiff.subject.image_names import FRONTAL, LATERAL, described
 from spinestiff.subject.intake.push_table import SHARED, TablePush, TableRow
 from spinestiff.words import counted, push_named
 
@@ -71,6 +72,12 @@ class Sorting:
     pushes: tuple[PushFiles, ...]
     reasons: dict[str, str]
 
+    @property
+    def rest(self) -> dict[str, Exported]:
+        """The rest radiographs there are, by the names of their images."""
+        both = {FRONTAL: self.frontal, LATERAL: self.lateral}
+        return {image: one for image, one in both.items() if one is not None}
+
 
 def uses_of(sorting: Sorting, names: Sequence[str]) -> dict[str, str]:
     """What each radiograph becomes, in words, by name of the file; ``names`` are those of the pushes."""
@@ -78,10 +85,7 @@ def uses_of(sorting: Sorting, names: Sequence[str]) -> dict[str, str]:
     for name, push in zip(names, sorting.pushes):
         for number, one in enumerate(push.files):
             uses[one.name] = push_named(name) + (f", frame {number}" if len(push.files) > 1 else "")
-    for words, rest in (("rest, frontal", sorting.frontal), ("rest, lateral", sorting.lateral)):
-        if rest is not None:
-            uses[rest.name] = words
-    return uses
+    return uses | {one.name: described(image) for image, one in sorting.rest.items()}
 
 
 def sort_files(
