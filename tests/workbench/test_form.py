@@ -255,3 +255,20 @@ def test_a_radiograph_is_shown_whatever_is_known_of_its_millimetres(served, root
     assert json.loads(served.ask("GET", part)[1]["x-radiograph"])["part"] == [100, 200, 260, 360]
     assert served.json("GET", f"/api/subjects/{key}/radiograph?image=push/b&wide=96&tall=128")[0] == 404
     assert served.json("GET", f"/api/subjects/{key}/radiograph?{whole}&part=0,0,9999,1")[0] == 422
+
+
+def test_so_is_a_view_from_another_side(served, girl):
+    for number, path in enumerate(sorted((girl / "pushes" / "a-side").iterdir())):
+        dataset = pydicom.dcmread(path)
+        del dataset.ImagerPixelSpacing
+        dataset.InstanceNumber = number
+        dataset.save_as(path)
+    key = served.key()
+    listed = served.good("GET", f"/api/subjects/{key}/radiographs")
+    (image,) = [one["image"] for one in listed["files"] if one["use"] == "push a, view side"]
+    whole = f"image={image}&wide=96&tall=128"
+    assert served.json("GET", f"/annotate/{key}/api/radiograph?{whole}")[0] == 422
+    status, headers, content = served.ask("GET", f"/api/subjects/{key}/radiograph?{whole}")
+    about = json.loads(headers.get("x-radiograph", "null"))
+    assert status == 200 and (about["rows"], about["columns"]) == dataset.pixel_array.shape and len(content) > 1000
+    assert listed["lacking"] == ["push a, view side: no ImagerPixelSpacing"]

@@ -11,7 +11,7 @@ from spinestiff.anatomy.axes import body_axes
 from spinestiff.anatomy.importing.reading import SUFFIXES
 from spinestiff.errors import SubjectError
 from spinestiff.personalise.scan import read_scan
-from spinestiff.subject.image_names import view_image
+from spinestiff.subject.image_names import PushImage, described
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake.adding import (
     Addition,
@@ -46,7 +46,7 @@ def radiographs_record(standing: Standing) -> dict[str, Any]:
         first = files[0]
         name = first.name if len(files) == 1 else first.name.rpartition("/")[0]
         frames = first.frames if len(files) == 1 else len(files)
-        row = {"image": _shown_as(standing, image), "name": name, "frames": frames, "use": _use(image)}
+        row = {"image": image, "name": name, "frames": frames, "use": _use(image)}
         rows.append({**row, "version": first.scan.sha256[:16]})
     rest = [image for image in REST_IMAGES if standing.has(image)]
     return {"files": rows, "rest": rest, "lacking": _lacking(standing)}
@@ -66,19 +66,11 @@ def _lacking(standing: Standing) -> list[str]:
 
 
 def _use(image: str) -> str:
-    kind, _, name = image.partition("/")
-    push, _, view = name.partition("/")
-    return f"rest, {name}" if kind == "rest" else push_named(push) + (f", view {view}" if view else "")
-
-
-def _shown_as(standing: Standing, image: str) -> str:
-    """Of a further view, its first frame's name in the annotation."""
-    parts = image.split("/")
-    if len(parts) < 3:
-        return image
-    push = next(one for one in standing.data["pushes"] if one["id"] == parts[1])
-    frames = next(view["frames"] for view in push["views"] if view["id"] == parts[2])
-    return view_image(parts[1], frames[0], parts[2])
+    """An image in words, all its frames together; ``inspect`` calls a further view "push/a, view side" already."""
+    found = PushImage.named(image)
+    if found is None:
+        return described(image)
+    return push_named(found.push) + ("" if found.view is None else f", view {found.view}")
 
 
 def looked_at_beside(standing: Standing, export: Export, wish: Wish) -> dict[str, Any]:

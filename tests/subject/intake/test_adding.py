@@ -199,7 +199,7 @@ def test_a_view_from_another_side(girl, tmp_path):
     assert data["pushes"][0]["views"] == [{**view, "files": "pushes/push-1-side"}]
     assert read_json(girl / "subject.json") == data
     assert sorted(content_of(girl / "pushes" / "push-1-side")) == ["000.dcm", "001.dcm"]
-    assert adding.read_standing(girl).images["pushes/push-1-side/001.dcm"] == "push/push-1/side"
+    assert adding.read_standing(girl).images["pushes/push-1-side/001.dcm"] == "push/push-1/0/side"
 
 
 def test_skin_markers_come_with_a_table_that_can_be_read(girl):

@@ -25,7 +25,7 @@ from spinestiff.imaging.dicom.export import Exported, read_exported
 from spinestiff.imaging.dicom.identity import read_identity
 from spinestiff.subject.folder import MOST_INPUT_BYTES
 from spinestiff.subject.gaps import PUSH, check_open_record
-from spinestiff.subject.image_names import FRONTAL, LATERAL, frame_image
+from spinestiff.subject.image_names import FRONTAL, LATERAL, frame_image, view_image
 from spinestiff.subject.intake.making import Given, copy_frames, copy_radiographs, fill, name_pushes, push_data
 from spinestiff.subject.intake.pictures import Album
 from spinestiff.subject.intake.push_table import TablePush, TableRow, pushes_of
@@ -52,7 +52,7 @@ class Standing:
     ----------
     folder : of it. data : ``subject.json``, complete or not. digest : of that file.
     files : its radiographs, those that can be read, each by its name in the folder, in the order of ``image``.
-    images : what each of them belongs to, by name; a further view is push/<id>/<view> here.
+    images : what each of them belongs to, by name; a push and a further view by the image of its first frame.
     """
 
     folder: Path
@@ -115,7 +115,7 @@ def _places(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for push in data["pushes"]:
         yield frame_image(push["id"]), push["frames"]
         for view in push.get("views", ()):
-            yield f"{frame_image(push['id'])}/{view['id']}", view["files"]
+            yield view_image(push["id"], view["frames"][0], view["id"]), view["files"]
 
 
 def _inside(place: Path, folder: Path) -> Iterable[Path]:
