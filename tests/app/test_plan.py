@@ -5,16 +5,20 @@ from __future__ import annotations
 import errno
 import json
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
+from typing import get_type_hints
 
 import cv2
 import pytest
 
+from spinestiff.app.commands import asking
+from spinestiff.app.options import push_limits
 from spinestiff.app.plan import exposures_of, plan_record, single_pushes, wish_of
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study.planning.scene import scene_of
-from spinestiff.study.planning.wish import RIBS, SIDES, VIEWS, Frame, Wish
+from spinestiff.study.planning.wish import EXPOSURES, MOST_EXPOSURES, RIBS, SIDES, VIEWS, Frame, Wish
 from spinestiff.study.report.clinician import next_lines
 from spinestiff.study.runner import ALL_STEPS
 from spinestiff.study.visit import open_visit
@@ -202,6 +206,21 @@ def test_options_become_a_wish():
     assert wished(views="frontal+lateral").views == ("frontal+lateral",)
     wish = wished(target="cobb", side="right", ribs="5, 9.5,5", under="left,8,60")
     assert (wish.sides, wish.ribs, wish.predicted) == (("right",), (5.0, 9.5), Frame("left", 8.0, 60.0))
+
+
+def test_what_the_command_line_writes_out_are_the_defaults_of_a_wish():
+    usual = {name: one.default for name, one in signature(asking.plan).parameters.items()}
+    doses = (usual[f"{of}dose"] for of in ("", "frame_", "lateral_"))
+    exposures, lateral_cost = exposures_of(usual["exposures"], *doses)
+    one_word = (usual[name] for name in ("side", "ribs", "under"))
+    wish = wish_of(
+        usual["target"], usual["limit"], exposures, *one_word, push_limits()[1], usual["views"], lateral_cost
+    )
+    assert wish == Wish()
+    told = {name: hint.__metadata__[0] for name, hint in get_type_hints(asking.plan, include_extras=True).items()
+            if name in ("exposures", "ribs")}  # fmt: skip
+    assert told["exposures"].max == MOST_EXPOSURES and f"default {EXPOSURES}." in told["exposures"].help
+    assert f"default {RIBS[0]:g} to {RIBS[-1]:g}." in told["ribs"].help
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ from spinestiff.app.plan import wish_of
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.radiograph import read_radiographs
+from spinestiff.study.planning.wish import Wish
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import read_subject, read_unannotated, write_annotation
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
@@ -50,7 +51,7 @@ from spinestiff.workbench.page_words import page_words
 from spinestiff.workbench.parcel import KEPT, nameless_parcel
 from spinestiff.workbench.rooms import open_root
 from spinestiff.workbench.unzip import unzip
-from spinestiff.workbench.verbs import command_of
+from spinestiff.workbench.verbs import VERBS, Choice, command_of
 from studied import STUDY
 from unannotated import CANARY, drawn
 
@@ -888,6 +889,16 @@ def test_a_plan_may_be_asked_all_that_the_command_line_takes():
     ):
         with pytest.raises(OptionError, match=re.escape(words)):
             command_of("plan", wrong)
+
+
+def test_a_plan_as_the_page_offers_it_is_the_usual_one():
+    def usual(option):
+        return next(iter(option.words)) if isinstance(option, Choice) else getattr(option, "usual", "")
+
+    offered = {name: usual(option) for name, option in VERBS["plan"].options.items()}
+    told = [offered[name] for name in ("target", "limit", "exposures", "side")]
+    words = [offered[name] or None for name in ("ribs", "under")]
+    assert wish_of(*told, *words, VERBS["plan"].options["limit"].high, offered["views"]) == Wish()
 
 
 def test_a_plan_that_is_older_than_the_estimate_is_called_out_of_date(served, root):

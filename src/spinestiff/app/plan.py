@@ -13,7 +13,7 @@ from spinestiff.formats import plain_number
 from spinestiff.observer import Observer, heard
 from spinestiff.study.planning.proposal import make_plan
 from spinestiff.study.planning.scene import scene_of
-from spinestiff.study.planning.wish import EXPOSURES, RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish
+from spinestiff.study.planning.wish import EXPOSURES, MOST_EXPOSURES, RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish
 from spinestiff.study.runner import ALL_STEPS, PUSHES, logged_step, run_steps
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording.plan import (
@@ -31,7 +31,6 @@ from spinestiff.subject.records import LEVELS
 from spinestiff.subject.run_record import record_step, recorded_steps, step_record, write_outcome
 
 TARGETS = get_args(Target)
-MOST_EXPOSURES = 40
 SHOWN = 6  # single pushes in the table
 _log = logging.getLogger(__name__)
 

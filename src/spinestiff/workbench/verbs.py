@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from spinestiff.errors import OptionError
+from spinestiff.study.planning.wish import COMFORT_N, EXPOSURES, LEAST_LIMIT_N, MOST_EXPOSURES, RIBS
+from spinestiff.subject.records import GAUGE_LIMIT_N
 
 
 @dataclass(frozen=True)
@@ -152,13 +154,13 @@ VERBS: Mapping[str, Verb] = {
                 only=("target", "cobb"),
             ),
             "side": Choice("Side to push", {"both": "left or right", "left": "left", "right": "right"}),
-            "ribs": Text("Ribs to push", rf"{_RIB}(,{_RIB}){{0,20}}", "5,7,9", "Empty: 5 to 10."),
+            "ribs": Text("Ribs to push", rf"{_RIB}(,{_RIB}){{0,20}}", "5,7,9", f"Empty: {RIBS[0]:g} to {RIBS[-1]:g}."),
             "views": Choice(
                 "Radiographs of a pushed state",
                 {"both": "whichever narrows more", "frontal": "frontal", "frontal+lateral": "frontal and lateral"},
             ),
-            "limit": Number("Largest force", 5.0, 500.0, 80.0, "N"),
-            "exposures": Number("Further radiographs at most", 2, 40, 8, "", True),
+            "limit": Number("Largest force", LEAST_LIMIT_N, GAUGE_LIMIT_N, COMFORT_N, "N"),
+            "exposures": Number("Further radiographs at most", 2, MOST_EXPOSURES, EXPOSURES, "", True),
         },
         "a minute or two",
     ),

@@ -21,6 +21,7 @@ SIDES: tuple[Literal["left", "right"], ...] = ("left", "right")
 SHARES = (0.5, 1.0)  # of the largest force
 VIEWS: tuple[PlannedView, ...] = ("frontal", "frontal+lateral")
 EXPOSURES = 8
+MOST_EXPOSURES = 40
 ROUNDING = 1e-9  # of a sum of costs
 RATIO_OF: Mapping[Target, str] = {
     "bending": "lateral_bending",
