@@ -25,6 +25,7 @@ import pydicom
 from kept_rows import measure_once
 
 from spinestiff.files import read_json, write_json
+from spinestiff.subject.image_names import FRONTAL, LATERAL, frame_image
 
 RESULTS = Path(__file__).parent / "results" / "large_sequence.json"
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "NUMBA", "RAYON")} | {
@@ -91,10 +92,10 @@ def of_subject(small: Path, frames: int, side: int, place: Path) -> dict[str, An
     new["forces_n"] = [push["forces_n"][i] for i in of]
     new["roles"] = ["training" if i in (frames // 2, frames - 1) else "unused" for i in range(frames)]
     write_json(made / "subject.json", own)
-    corners = marked["images"][f"push/{push['id']}"]
+    corners = marked["images"][frame_image(push["id"])]
     large = {what: {name: resized(at, scale) for name, at in there.items()} for what, there in corners.items()}
-    images = {name: marked["images"][name] for name in ("rest/frontal", "rest/lateral")}
-    write_json(made / "annotation.json", {**marked, "images": {**images, f"push/{new['id']}": large}})
+    images = {name: marked["images"][name] for name in (FRONTAL, LATERAL)}
+    write_json(made / "annotation.json", {**marked, "images": {**images, frame_image(new["id"]): large}})
     found["track"] = measured("track", str(made))
     found["run"] = measured("run", str(made), "--mesh", "coarse")
     apart = last_corners(made, new["id"]) - resized(last_corners(small, push["id"]), scale)

@@ -15,7 +15,6 @@ Subjects that are in SCRATCH already are not made again; one takes six CPU minut
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from spinestiff.study.synthetic.recipe import Recipe
 from spinestiff.study.synthetic.subject import synthesise, truth_path
 from spinestiff.study.synthetic.visit import ANNOTATION_SD_MM, SIDE
 from spinestiff.study.visit import open_visit
+from spinestiff.subject.image_names import PushImage
 from spinestiff.subject.outcomes import SidePicture, SideView, Tracked
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome
@@ -45,7 +45,8 @@ def without_marks(folder: Path) -> dict[str, Marks]:
     path = folder / "annotation.json"
     kept = folder / "marks-taken-away.json"
     whole = read_json(path)
-    names = [name for name in whole["images"] if re.fullmatch(rf"push/[^/]+/[1-9]\d*/{SIDE}", name)]
+    named = {name: PushImage.named(name) for name in whole["images"]}
+    names = [name for name, of_push in named.items() if of_push and of_push.view == SIDE and of_push.frame > 0]
     taken = {name: whole["images"].pop(name)["vertebrae"] for name in names}
     if not kept.is_file():
         write_json(kept, taken)
