@@ -8,24 +8,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_text
 from spinestiff.formats import parse_json
 from spinestiff.subject.annotation_record import ImageAnnotation
-from spinestiff.subject.record_reading import complaint_of
+from spinestiff.subject.record_reading import Record, complaint_of
 from spinestiff.subject.records import Point, VertebraName
 
 DRAFT_FILE = "annotation.draft.json"
 MOST_POINTS = 50
 LARGEST_PIXEL = 100_000.0
 """No radiograph has as many rows or columns; larger coordinates are accidents."""
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 def _near(point: Point) -> Point:
@@ -40,7 +36,7 @@ Corners = Annotated[tuple[Near, Near, Near, Near], Field(strict=False)]
 Centres = Annotated[tuple[Near, Near], Field(strict=False)]
 
 
-class DraftImage(_Strict):
+class DraftImage(Record):
     """Marks in one image, in pixels as in ``ImageAnnotation``, complete or not.
 
     Attributes
@@ -53,13 +49,13 @@ class DraftImage(_Strict):
     guessed : of vertebrae with one pedicle set by hand the other, 0 left or 1 right, which is guessed.
     """
 
-    vertebrae: dict[VertebraName, Corners] = {}
-    supports: dict[Literal["pelvis", "shoulder"], Points] = {}
-    pedicles: dict[VertebraName, Centres] = {}
+    vertebrae: dict[VertebraName, Corners] = Field(default_factory=dict)
+    supports: dict[Literal["pelvis", "shoulder"], Points] = Field(default_factory=dict)
+    pedicles: dict[VertebraName, Centres] = Field(default_factory=dict)
     spine: Points = ()
     ends: Annotated[tuple[VertebraName, VertebraName], Field(strict=False)] | None = None
     unseen: Annotated[tuple[VertebraName, ...], Field(strict=False)] = ()
-    guessed: dict[VertebraName, Literal[0, 1]] = {}
+    guessed: dict[VertebraName, Literal[0, 1]] = Field(default_factory=dict)
 
     @property
     def empty(self) -> bool:
@@ -85,7 +81,7 @@ class DraftImage(_Strict):
             raise SubjectError(complaint_of(error)) from None
 
 
-class Draft(_Strict):
+class Draft(Record):
     """``annotation.draft.json``, and what the page sends.
 
     Attributes

@@ -10,17 +10,15 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from spinestiff.errors import ChangedElsewhere, InUseError, NotThere, SpinestiffError, SubjectError
 from spinestiff.formats import parse_json
-from spinestiff.subject.record_reading import complaint_of, shown_value
+from spinestiff.subject.record_reading import Record, complaint_of, shown_value
 
 
-class Sent(BaseModel):
+class Sent(Record):
     """The body of a request: these keys and no others, each of its type."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 S = TypeVar("S", bound=Sent)

@@ -24,7 +24,7 @@ WANTED_MARKER = _WANTED_NAME.format(32)
 
 
 class Record(BaseModel):
-    """The base of all that such a file may hold: no unknown key, no other type, nothing that is not finite."""
+    """The base of files and requests: no unknown key, no other type, nothing that is not finite."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
