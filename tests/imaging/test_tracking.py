@@ -16,9 +16,11 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import SUPPORT_LIMIT_MM, support_motion, track
-from spinestiff.imaging.tracking.following import credits
+from spinestiff.imaging.tracking.following import Place, credits, likeliest_places
 from spinestiff.imaging.tracking.patches import Body
+from spinestiff.imaging.tracking.pictures import Pictures, levels
 from spinestiff.imaging.tracking.quality import FOUND, error_of, quality_of
+from spinestiff.imaging.tracking.registration import Patch, likeness_of_walls, settled_at
 from spinestiff.imaging.tracking.supports import FLESH_MM, _middle, _turn
 
 SHAPE = (620, 360)
@@ -143,6 +145,37 @@ def test_arches_brighter_than_the_walls_do_not_take_vertebrae_along(lag):
     truth = np.stack([quads(rest), quads(pushed)])
     frames = [frame(rest, 0.0, 0), frame(pushed, lag, 1)]
     assert errors_mm(track(frames, {0: corners(truth[0])}), truth).max() < 0.5
+
+
+def test_what_crosses_the_endplates_does_not_tell_how_alike_the_walls_are():
+    """Processes over both endplates, 2 pixels aside of where they were before the body."""
+    rest = rest_poses()
+    angle, x, y = rest[6]
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+
+    def frame(aside, seed):
+        u = np.cos(angle) * (column - x) + np.sin(angle) * (row - y) - aside
+        v = -np.sin(angle) * (column - x) + np.cos(angle) * (row - y)
+        process = (np.abs(u) < 0.1 * WIDTH) * (np.abs(np.abs(v) - 0.5 * HEIGHT) < 0.3 * HEIGHT)
+        return radiograph(picture(rest, seed=seed) + (90.0 * process).astype(np.float32))
+
+    def alike(aside):
+        pictures = Pictures.of([frame(0.0, 0), frame(aside, 1)])
+        body = Body.of_vertebra(pictures.binned(corners(quads(rest)).corners)[6])
+        before, now = (levels(image, pictures.mm) for image in pictures.images)
+        patch, there = Patch.of(body, before), np.zeros(3)
+        return settled_at(body, patch, now, there)[1], likeness_of_walls(body, patch, now, there)
+
+    (whole, walls), (whole_aside, walls_aside) = alike(0.0), alike(2.0)
+    assert whole_aside < whole - 0.1
+    assert walls_aside == pytest.approx(walls, abs=0.02)
+
+
+def test_of_two_places_beside_each_other_that_is_taken_where_the_walls_are_alike():
+    body = Body.of_vertebra(quads(rest_poses())[6])
+    aside = Place(np.array([0.0, 2.0, 0.0]), likeness=0.8, of_walls=0.6)
+    true = Place(np.zeros(3), likeness=0.7, of_walls=0.8)
+    assert likeliest_places([body], [[aside, true]]) == [true]
 
 
 @pytest.mark.filterwarnings("error")

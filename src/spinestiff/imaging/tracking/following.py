@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +13,14 @@ from spinestiff.imaging.tracking.flow import dense_flow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Image, Pictures, as_bytes, inside, levels, matched, sampled
 from spinestiff.imaging.tracking.quality import FOUND, Evidence
-from spinestiff.imaging.tracking.registration import Patch, corrected, inner_shift, scatter, settled_at
+from spinestiff.imaging.tracking.registration import (
+    Patch,
+    corrected,
+    inner_shift,
+    likeness_of_walls,
+    scatter,
+    settled_at,
+)
 
 ROBUST_ROUNDS = 5
 # Correlation that a pose one patch size away from its neighbour's motion must gain to be believed.
@@ -27,7 +35,27 @@ SAME_PLACE_MM = 0.1
 # 68 % and 0.006 in 95 % of the discs of synthetic subjects (benchmarks/tracking_drag.py).
 SHEAR = 0.007
 WIDEST_SHEAR = 5.0  # standard deviations; more costs no more
-INDEPENDENT_POINTS = 20.0  # of a patch: how sure its correlation is
+INDEPENDENT_POINTS = 20.0  # along a vertebra's walls: how sure their correlation is
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a vertebra may be.
+
+    Attributes
+    ----------
+    pose : (3,) as ``Body`` has it.
+    likeness, of_walls : the patch's correlation there, and that of its walls alone.
+    """
+
+    pose: Floats
+    likeness: float
+    of_walls: float
+
+    @property
+    def evidence(self) -> float:
+        """Log-likelihood of the place among those beside it, up to a constant."""
+        return -0.5 * INDEPENDENT_POINTS * float(np.log(1.0 - min(max(self.of_walls, 0.0), 0.9999) ** 2))
 
 
 def follow(
@@ -136,14 +164,12 @@ def _settled(
             if _credit(trial, guess, bodies[i]) > _credit(held, guess, bodies[i]):
                 settled[i] = trial
     places = [_beside(body, patch, here, held, mm) for body, patch, held in zip(bodies, patches, settled)]
-    chosen = _least_sheared(bodies, places)
-    return np.stack([pose for pose, _ in chosen]), np.array([likeness for _, likeness in chosen])
+    chosen = likeliest_places(bodies, places)
+    return np.stack([place.pose for place in chosen]), np.array([place.likeness for place in chosen])
 
 
-def _beside(
-    body: Body, patch: Patch, here: Sequence[Image], held: tuple[Floats, float], mm: float
-) -> list[tuple[Floats, float]]:
-    """Places near by at which a patch settles, with their correlations, the one that is held first."""
+def _beside(body: Body, patch: Patch, here: Sequence[Image], held: tuple[Floats, float], mm: float) -> list[Place]:
+    """Places near by at which a patch settles, the one that is held first."""
     pose, _ = held
     sideways = rotation(pose[0]) @ body.width / mm
     found = [held]
@@ -151,40 +177,33 @@ def _beside(
         place = settled_at(body, patch, here, pose + [0.0, *(aside * sideways)])
         if all(_apart(body, place[0], other) > SAME_PLACE_MM / mm for other, _ in found):
             found.append(place)
-    return found
+    return [Place(*place, likeness_of_walls(body, patch, here, place[0])) for place in found]
 
 
-def _least_sheared(
-    bodies: Sequence[Body], places: Sequence[Sequence[tuple[Floats, float]]]
-) -> list[tuple[Floats, float]]:
-    """One place of each body: the likeliest all together, by their correlations and by what discs between them shear.
+def likeliest_places(bodies: Sequence[Body], places: Sequence[Sequence[Place]]) -> list[Place]:
+    """One place of each body: the likeliest all together, by their walls and by what discs between them shear.
 
     Discs hardly shear: bodies side by side carry the point in the middle between them to the same place across the
     spine. Dynamic programming finds the best of all combinations.
     """
-    total = np.array([_evidence_of(likeness) for _, likeness in places[0]])
+    total = np.array([place.evidence for place in places[0]])
     before: list[np.ndarray] = []
     for upper, lower, above, below in zip(bodies, bodies[1:], places, places[1:]):
         middle = 0.5 * (upper.centre + lower.centre)[None]
         # Marked on one place by mistake, two vertebrae still are as large as they are.
         apart = max(float(np.linalg.norm(lower.centre - upper.centre)), 0.5 * upper.size)
-        hangs = np.array([upper.placed(pose, middle)[0] for pose, _ in above])
-        stands = np.array([lower.placed(pose, middle)[0] for pose, _ in below])
-        across = np.array([rotation(pose[0]) @ upper.width for pose, _ in above])
+        hangs = np.array([upper.placed(place.pose, middle)[0] for place in above])
+        stands = np.array([lower.placed(place.pose, middle)[0] for place in below])
+        across = np.array([rotation(place.pose[0]) @ upper.width for place in above])
         shear = np.einsum("abi,ai->ab", hangs[:, None] - stands, across) / (SHEAR * apart)
         joined = total[:, None] - 0.5 * np.minimum(np.abs(shear), WIDEST_SHEAR) ** 2
         before.append(joined.argmax(axis=0))
-        total = joined.max(axis=0) + [_evidence_of(likeness) for _, likeness in below]
+        total = joined.max(axis=0) + [place.evidence for place in below]
     last = int(total.argmax())
     chosen = [last]
     for choice in reversed(before):
         chosen.append(int(choice[chosen[-1]]))
     return [found[i] for found, i in zip(places, reversed(chosen))]
-
-
-def _evidence_of(likeness: float) -> float:
-    """Log-likelihood of a place whose patch correlates so much, up to a constant."""
-    return -0.5 * INDEPENDENT_POINTS * float(np.log(1.0 - min(max(likeness, 0.0), 0.9999) ** 2))
 
 
 def _as_beside(body: Body, beside: Body, pose: Floats) -> Floats:

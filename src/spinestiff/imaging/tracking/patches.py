@@ -66,6 +66,11 @@ class Body:
         return Body(centre, 2.0 * radius, centre[None], points, _quarters(points, centre))
 
     @property
+    def walls(self) -> NDArray[np.bool_]:
+        """(n,) of a vertebra's points, those beside its walls: no others tell of motion sideways."""
+        return np.asarray(self.parts % 2 == 1)
+
+    @property
     def width(self) -> Floats:
         """Unit vector (2,) from one wall of a vertebra to the other."""
         across = self.marks[0] + self.marks[3] - self.marks[1] - self.marks[2]

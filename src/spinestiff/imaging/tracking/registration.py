@@ -68,13 +68,25 @@ def settled_at(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) 
     return found, _likeness(body, patch, levels, found)
 
 
-def _likeness(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -> float:
-    """Correlation at the finest level; 0 where too much lies outside the picture."""
-    there = body.placed(pose, body.points)
+def likeness_of_walls(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -> float:
+    """Correlation along a vertebra's walls at the finest level; 0 where too much lies outside the picture.
+
+    Which of two places beside each other is a vertebra's: the arch crosses the endplates and looks more like the
+    annotated frame where the vertebra is not, if it turned about its own axis or moved across the beam.
+    """
+    return _likeness(body, patch, levels, pose, body.walls)
+
+
+def _likeness(
+    body: Body, patch: Patch, levels: Sequence[Image], pose: Floats, kept: NDArray[np.bool_] | None = None
+) -> float:
+    """Correlation of the patch, or of what is kept, at the finest level; 0 where too much lies outside the picture."""
+    points, values = (body.points, patch.values[-1]) if kept is None else (body.points[kept], patch.values[-1][kept])
+    there = body.placed(pose, points)
     seen = inside(there, levels[-1].shape)
-    if np.mean(seen) < FEWEST_SEEN:
+    if np.count_nonzero(seen) < max(FEWEST_SEEN * len(seen), 1):
         return 0.0
-    return _correlation(patch.values[-1][seen], sampled(levels[-1], there[seen]))
+    return _correlation(values[seen], sampled(levels[-1], there[seen]))
 
 
 def scatter(body: Body, patch: Patch, image: Image, pose: Floats) -> Floats:
