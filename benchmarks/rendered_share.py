@@ -14,8 +14,8 @@ then estimated on the coarse mesh, from the true ratios on, with
                    stance, posture and place of each frame are drawn anew, and no supports are measured
 
 So the difference of the first and the third is that of tracked corners, and that of the third and the truth belongs to
-all else: geometry, mesh, gauge, places, posture, measured supports and what the body has that the model lacks. z is that of
-``coverage.py``, the signed root of the likelihood's rise at the truth: an error over the standard deviation at the
+all else: geometry, mesh, gauge, places, posture, measured supports and what the body has that the model lacks. z is the
+signed root of the likelihood's rise at the truth, as in ``coverage.py``: an error over the standard deviation at the
 estimate leans to the stiff side by itself, as the deviation is smaller there. A log that exists is gone on with; needs
 the extra ``[mesh]``. A person takes five to six CPU minutes, most of it for radiographs.
 """
@@ -123,6 +123,8 @@ def run_one(seed: int) -> dict[str, Any]:
             row |= {"ratios": dict(person.ratios), "kind": person.kind, "followed": pushes}
             for kind, seen in pushes_of(seed, folder, person).items():
                 found = told(fit_pushes(seen, NAMES, person.ratios, extent="intervals"), person.ratios)
+                if "z" not in found:
+                    return {**row, "not made": f"{kind}: the estimate is {found['status']}"}
                 row[kind] = {key: found[key] for key in ("estimate", "z", "joint", "p_value")}
         except SpinestiffError as error:
             return {**row, "not made": str(error)}
