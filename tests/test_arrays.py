@@ -1,8 +1,10 @@
-"""spinestiff.arrays: what holds large arrays says so in one short line."""
+"""spinestiff.arrays: what holds large arrays says so in one short line, and is copied by its fields."""
 
 from __future__ import annotations
 
+import copy
 import enum
+import pickle
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +13,9 @@ import pytest
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.arrays import ShortRepr
+from spinestiff.estimation.discrepancy_data import shipped_data
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
@@ -74,3 +79,20 @@ def test_a_failed_equilibrium_says_what_is_at_fault(case):
     failed = problem.solve(load, max_iterations=0)
     assert repr(failed).startswith("Equilibrium(ITERATION_LIMIT, ")
     assert "force of" in repr(failed) and failed.fault[:30] in repr(failed)
+
+
+def test_what_is_sent_to_another_process_arrives_as_it_was_and_protected() -> None:
+    torso = template_torso(157.0, "coarse")
+    view = frontal_view(shape=(4, 3), pixel=1.0)
+    picture = Radiograph(np.ones((4, 3)), view, source="a.dcm", provenance={"millimetres": "ImagerPixelSpacing"})
+    for copied in (pickle.loads(pickle.dumps(picture)), copy.deepcopy(picture)):
+        assert (copied.source, dict(copied.provenance)) == ("a.dcm", {"millimetres": "ImagerPixelSpacing"})
+        np.testing.assert_array_equal(copied.pixels, picture.pixels)
+        with pytest.raises(ValueError, match="read-only"):
+            copied.pixels[0, 0] = 2.0
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            copied.provenance["millimetres"] = "guessed"
+    body = pickle.loads(pickle.dumps(torso))
+    assert list(body.landmarks) == list(torso.landmarks)
+    np.testing.assert_array_equal(body.tissue.rest_positions, torso.tissue.rest_positions)
+    assert list(pickle.loads(pickle.dumps(shipped_data())).kinds) == list(shipped_data().kinds)

@@ -1,4 +1,7 @@
-"""Read-only arrays with a checked shape, for the constructors of the data types; a short text for what holds them."""
+"""Read-only arrays with a checked shape, for the constructors of the data types.
+
+What holds them is shown in a short text, and copied or sent to another process by its fields.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import dataclasses
 import enum
 from collections.abc import Collection, Iterator, Mapping
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -42,6 +46,23 @@ def read_only(
         raise error(f"{name} holds a value that is not finite")
     array.flags.writeable = False
     return array
+
+
+class ByFields:
+    """A frozen dataclass that is copied and pickled by its fields, through its constructor.
+
+    So what the constructor checks and protects is so again: an array may be written to once it was unpickled, and a
+    read-only mapping can't be pickled.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
+        kept = {name: dict(value) if isinstance(value, MappingProxyType) else value for name, value in fields.items()}
+        return _made, (type(self), kept)
+
+
+def _made(kind: type[Any], fields: Mapping[str, Any]) -> Any:
+    return kind(**fields)
 
 
 class ShortRepr:

@@ -16,7 +16,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import mean_rotation
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
+from spinestiff.arrays import ByFields, Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
 # Node order of a ten-node tetrahedron: four corners, then the middles of these edges (VTK's and meshio's order).
@@ -155,7 +155,7 @@ class BoneSurface(ShortRepr):
 
 
 @dataclass(frozen=True, repr=False)
-class TorsoModel(ShortRepr):
+class TorsoModel(ByFields, ShortRepr):
     """A torso at rest, free of stress.
 
     Attributes

@@ -26,7 +26,7 @@ import numpy as np
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.template import Mesh
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats, ShortRepr, read_only
+from spinestiff.arrays import ByFields, Floats, ShortRepr, read_only
 from spinestiff.errors import FitError
 from spinestiff.estimation.discrepancy import CHANNELS, HIGHEST_LEVEL, LOWEST_LEVEL, SIDES, DiscrepancyModes
 from spinestiff.files import regular_file, write_bytes
@@ -97,7 +97,7 @@ class KindModes(ShortRepr):
 
 
 @dataclass(frozen=True, repr=False)
-class DiscrepancyData(ShortRepr):
+class DiscrepancyData(ByFields, ShortRepr):
     """All that was learnt.
 
     Attributes

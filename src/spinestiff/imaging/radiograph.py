@@ -17,7 +17,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spinestiff.arrays import read_only
+from spinestiff.arrays import ByFields, read_only
 from spinestiff.errors import RadiographError
 from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_MAPPED_BYTES, declared_modality
@@ -55,7 +55,7 @@ KEPT = 4
 
 
 @dataclass(frozen=True)
-class Radiograph:
+class Radiograph(ByFields):
     """One picture with its geometry.
 
     Attributes
