@@ -37,7 +37,7 @@ from spinestiff.imaging.synthetic import acquisition as acquired
 from spinestiff.imaging.synthetic import torso_absorbers as parts
 from spinestiff.imaging.synthetic.acquisition import Acquisition
 from spinestiff.imaging.synthetic.rendering import Absorber
-from spinestiff.study.synthetic import subject as synthetic
+from spinestiff.study.synthetic import visit as synthetic
 from spinestiff.study.synthetic.recipe import Recipe
 
 RESULTS = Path(__file__).parent / "results" / "drag_causes.json"

@@ -33,6 +33,15 @@ def test_sizes_are_those_of_all_frames_and_of_what_pushes_share():
     assert "shift along rows" not in found
 
 
+@pytest.mark.parametrize("kind", causes.KINDS)
+def test_each_kind_shows_its_parts_from_its_source(kind):
+    from spinestiff.study.synthetic import visit
+
+    with causes.showing(kind):
+        near = visit.frontal_view().source_to_patient
+    assert near == (causes.FAR_MM if kind.endswith("far source") else visit.frontal_view().source_to_patient)
+
+
 def test_the_page_has_the_stored_figures():
     page = (Path(__file__).parents[2] / "docs" / "tracking.md").read_text(encoding="utf-8")
     stored = json.loads(causes.RESULTS.read_text(encoding="utf-8"))

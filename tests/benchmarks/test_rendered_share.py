@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,6 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.subject.outcomes import TrackedPush
 
-ROOT = Path(__file__).parents[2]
 share = benchmark("rendered_share")
 NAMES = VERTEBRAE[3:]
 

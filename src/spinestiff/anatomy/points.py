@@ -14,12 +14,12 @@ import numpy as np
 
 from spinestiff.anatomy.rotation import cross_matrix
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
+from spinestiff.arrays import ByFields, Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
 
 @dataclass(frozen=True, repr=False)
-class PointsOnBones(ShortRepr):
+class PointsOnBones(ByFields, ShortRepr):
     """Points fixed to bones.
 
     Attributes

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.rotation import exp_so3
-from spinestiff.arrays import Floats, ShortRepr, read_only
+from spinestiff.arrays import ByFields, Floats, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
 
 @dataclass(frozen=True, repr=False)
-class TorsoState(ShortRepr):
+class TorsoState(ByFields, ShortRepr):
     """Where everything is.
 
     Attributes

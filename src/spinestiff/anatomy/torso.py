@@ -24,7 +24,7 @@ TET10_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 
 
 @dataclass(frozen=True, repr=False)
-class JointTable(ShortRepr):
+class JointTable(ByFields, ShortRepr):
     """Compliant joints; each has a frame on its parent and one on its child that coincide at rest.
 
     Attributes
@@ -70,7 +70,7 @@ class JointTable(ShortRepr):
 
 
 @dataclass(frozen=True, repr=False)
-class TissueMesh(ShortRepr):
+class TissueMesh(ByFields, ShortRepr):
     """Soft tissue as tetrahedra whose nodes in or on bones are tied to them.
 
     Attributes
@@ -139,7 +139,7 @@ class TissueMesh(ShortRepr):
 
 
 @dataclass(frozen=True, repr=False)
-class BoneSurface(ShortRepr):
+class BoneSurface(ByFields, ShortRepr):
     """A closed triangle surface in its bone's frame: vertices (n, 3) mm, faces (m, 3) outward."""
 
     vertices: Floats

@@ -54,7 +54,7 @@ LARGEST_ENTRY = 100.0  # of a mode or remainder, over the size of the motion; no
 
 
 @dataclass(frozen=True, repr=False)
-class KindModes(ShortRepr):
+class KindModes(ByFields, ShortRepr):
     """What was learnt from one kind of variant, relative to the size of the model's motion.
 
     Attributes

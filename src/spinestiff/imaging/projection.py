@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import ByFields, Floats, read_only
 from spinestiff.errors import RadiographError
 
 LEFT, UP, FRONT = np.eye(3)
@@ -25,7 +25,7 @@ LEFT, UP, FRONT = np.eye(3)
 
 
 @dataclass(frozen=True)
-class XRayView:
+class XRayView(ByFields):
     """Where the source and the detector are.
 
     Attributes

@@ -66,7 +66,10 @@ def _lacking(standing: Standing) -> list[str]:
 
 
 def _use(image: str) -> str:
-    """An image in words, all its frames together; ``inspect`` calls a further view "push/a, view side" already."""
+    """An image in words, all its frames together.
+
+    ``inspect`` calls a further view "push/a, view side", which reads as a push of that id and comes out right.
+    """
     found = PushImage.named(image)
     if found is None:
         return described(image)

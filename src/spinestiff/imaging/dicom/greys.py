@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import ByFields, Floats, read_only
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.dicom.layout import Layout
 from spinestiff.imaging.dicom.tags import Table, Tags
@@ -19,7 +19,7 @@ _SIGMOID_KNOTS = np.linspace(-2.0, 2.0, 65)
 
 
 @dataclass(frozen=True)
-class DisplayCurve:
+class DisplayCurve(ByFields):
     """How grey values are shown: a broken line from pixel values to 0 (black) to 1 (white).
 
     Attributes

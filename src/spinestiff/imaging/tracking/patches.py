@@ -67,7 +67,7 @@ class Body:
 
     @property
     def walls(self) -> NDArray[np.bool_]:
-        """(n,) of a vertebra's points, those beside its walls: no others tell of motion sideways."""
+        """(n,) which points of a vertebra lie beside its left or right wall: these alone tell of motion sideways."""
         return np.asarray(self.parts % 2 == 1)
 
     @property

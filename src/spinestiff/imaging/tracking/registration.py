@@ -84,7 +84,7 @@ def _likeness(
     points, values = (body.points, patch.values[-1]) if kept is None else (body.points[kept], patch.values[-1][kept])
     there = body.placed(pose, points)
     seen = inside(there, levels[-1].shape)
-    if np.count_nonzero(seen) < max(FEWEST_SEEN * len(seen), 1):
+    if np.count_nonzero(seen) < max(FEWEST_SEEN * len(seen), FEWEST_POINTS):
         return 0.0
     return _correlation(values[seen], sampled(levels[-1], there[seen]))
 
