@@ -34,12 +34,13 @@ def test_sizes_are_those_of_all_frames_and_of_what_pushes_share():
 
 
 @pytest.mark.parametrize("kind", causes.KINDS)
-def test_each_kind_shows_its_parts_from_its_source(kind):
+def test_radiographs_of_each_kind_come_from_its_source(kind):
     from spinestiff.study.synthetic import visit
 
+    usual = visit.frontal_view().source_to_patient
     with causes.showing(kind):
-        near = visit.frontal_view().source_to_patient
-    assert near == (causes.FAR_MM if kind.endswith("far source") else visit.frontal_view().source_to_patient)
+        shown = visit.frontal_view().source_to_patient
+    assert shown == (causes.FAR_MM if kind.endswith("far source") else usual) and usual != causes.FAR_MM
 
 
 def test_the_page_has_the_stored_figures():
